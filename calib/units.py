@@ -46,7 +46,8 @@ SYMBOLS: dict[str, tuple[float, str]] = {
     "1": (1.0, "number"), "%": (percent, "number"), "ppm": (ppm, "number"), "ppb": (1e-9, "number"),
 }
 _SPELLINGS = {"metre": "m", "meter": "m", "micron": "um", "degree": "deg", "degrees": "deg", "radian": "rad",
-              "second": "s", "sec": "s", "minute": "min", "hour": "h", "kelvin": "K", "percent": "%", '"': "arcsec", "″": "arcsec",
+              "second": "s", "sec": "s", "minute": "min", "hour": "h", "kelvin": "K", "percent": "%",
+              '"': "arcsec", "″": "arcsec",
               "'": "arcmin", "′": "arcmin"}
 _CELSIUS = ("degC", "°C", "C", "celsius")
 _SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
@@ -184,7 +185,7 @@ def uncertainty(text: str, expected: str | None = None) -> tuple[float, float]:
     """A stated standard uncertainty "a + b L" as its two SI numbers.
 
     text: "0.5 um + 0.2 um/m", "10 urad", "2 mm + 1 ppm"; expected: dimension of the reading ("length"), None for any;
-    with it a lone "5 ppm" of a length is understood as proportional. Returns (constant [SI], proportional [SI per metre]).
+    with it a lone "5 ppm" of a length is proportional. Returns (constant [SI], proportional [SI per metre]).
     Raises InputError when a term is not a number with a unit, is negative, or has the wrong dimension.
     """
     terms = _terms(text)
@@ -215,8 +216,8 @@ def _terms(text: str) -> list[tuple[float, str]]:
     while position < len(text.rstrip()):
         found = _TERM.match(text, position)
         if found is None or (position > 0) != (found["plus"] is not None):
-            raise InputError(f"'{text}' is not understood at '{text[position:].strip()}': write a number and a unit, as "
-                             "in '10 urad' or '0.5 um + 0.2 um/m'")
+            raise InputError(f"'{text}' is not understood at '{text[position:].strip()}': write a number and a "
+                             "unit, as in '10 urad' or '0.5 um + 0.2 um/m'")
         unit = found["unit"].strip()
         if not unit:
             raise InputError(f"'{text}' has a number without a unit; write '1' as the unit of a plain number")
