@@ -190,7 +190,7 @@ def rotation_from_rpy(roll: Any, pitch: Any, yaw: Any) -> Any:
 
 
 def rpy_from_rotation(rotation: Any) -> Any:
-    """Roll, pitch, yaw (3,) [rad] of a rotation Rz Ry Rx (3, 3); at a pitch of 90 degrees only roll -+ yaw is defined."""
+    """Roll, pitch, yaw (3,) [rad] of a rotation Rz Ry Rx (3, 3); at a pitch of 90 degrees only roll -+ yaw is known."""
     atan2, sqrt = (ca.atan2, ca.sqrt) if _is_symbolic(rotation) else (np.arctan2, np.sqrt)
     level = sqrt(rotation[0, 0] * rotation[0, 0] + rotation[1, 0] * rotation[1, 0])
     return column(atan2(rotation[2, 1], rotation[2, 2]), atan2(-rotation[2, 0], level),

@@ -63,7 +63,8 @@ def _parsed(unit: str) -> tuple[float, tuple[tuple[str, int], ...]]:
         raise InputError(f"a unit is a text such as 'mm' or 'arcsec/h', not {unit!r}")
     text = unit.strip().replace("µ", "u").replace("μ", "u").replace("·", "*").replace("−", "-").translate(_SUPERSCRIPTS)
     # `outer` is the sign of the bracket we are in, `sign` that of the last operator inside it
-    factor, powers, sign, outer, signs, position, expects_symbol = 1.0, {}, 1, 1, [], 0, True
+    powers: dict[str, int] = {}
+    factor, sign, outer, signs, position, expects_symbol = 1.0, 1, 1, [], 0, True
     while position < len(text.rstrip()):
         found = _TOKEN.match(text, position)
         if found is None:
