@@ -82,8 +82,8 @@ def verdict(
     printed: the published number; without a number or a range in it nothing can be compared.
     sampling: half-width of the 95% sampling interval of a Monte Carlo number of the printed sample size.
     magnitude: compare without the sign, where the sign cannot be observed.
-    return: "agrees" (to half of the last printed digit, within the printed range or the sampling interval), "differs" or
-    "not determinable".
+    return: "agrees" (to half of the last printed digit, within the printed range or the sampling interval), "differs"
+    or "not determinable".
     """
     if value is None or printed is None or not math.isfinite(value):
         return NOT_DETERMINABLE
@@ -94,7 +94,7 @@ def verdict(
     number = printed.number
     if magnitude:
         value, number = abs(value), abs(number)
-    # The slack is that of decimal digits in binary: 0.15 must count as half a digit away from 0.1 and from 0.2.
+    # The slack is that of decimal digits in binary: 0.15 counts as half a digit away from 0.1 and from 0.2.
     slack = 1e-12 * max(abs(value), abs(number))
     return AGREES if abs(value - number) <= max(printed.half_digit, sampling or 0.0) + slack else DIFFERS
 
@@ -150,8 +150,8 @@ class Item:
         if not why and judged == DIFFERS and verdict(rounded, printed, magnitude=magnitude) == AGREES:
             why = "rounding of the printed intermediate results"
         if not why and judged != AGREES:
-            raise DeclarationError(f"item '{key}' is '{judged}' without a reason; say in `why` what is missing or where "
-                                   f"the difference comes from (value {value}, printed {printed and printed.text})")
+            raise DeclarationError(f"item '{key}' is '{judged}' without a reason; say in `why` what is missing or "
+                                   f"where the difference comes from (value {value}, printed {printed and printed.text})")
         if printed_text is None and printed is not None and printed.number is None:
             printed_text = printed.text
         if sampling is not None:
@@ -187,7 +187,7 @@ class Item:
             "joint_u_vc": self.joint_u_vc,
             "verdict": self.verdict,
             "why": self.why,
-            **{name: content for name, content in self.more.items()},
+            **self.more,
         }
 
 
@@ -195,8 +195,8 @@ class Item:
 class Reproduction:
     """A published comparison, number by number, with studies beside it.
 
-    name: name of the paper's file, such as "five-axis"; items: one for every printed number; studies: further results by
-    name, as JSON knows them; figures: drawings by title, each a function without arguments returning a Matplotlib figure.
+    name: name of the paper's file, such as "five-axis"; items: one for every printed number; studies: further results
+    by name, as JSON knows them; figures: by title, each a function without arguments returning a Matplotlib figure.
     """
 
     name: str
@@ -208,7 +208,7 @@ class Reproduction:
         object.__setattr__(self, "items", tuple(self.items))
         repeated = _repeated(item.key for item in self.items)
         if repeated:
-            raise DeclarationError(f"reproduction '{self.name}' has two items of the key '{repeated}'; one key, one item")
+            raise DeclarationError(f"reproduction '{self.name}' has two items of the key '{repeated}'; keep one")
 
     def __getitem__(self, key: str) -> Item:
         for item in self.items:
