@@ -1,0 +1,357 @@
+"""Factors of the normal equations: dense for small problems, many small blocks eliminated for large ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.blocks import Array, Block
+from calib.layout import Layout
+from calib.unknown import Unknown
+
+RANK_TOLERANCE = 1e-12     # of the singular values of the column-scaled derivatives, relative to the largest
+DENSE_SIZE = 250           # unknowns up to which an orthogonal factor of all rows is cheaper than looking for blocks
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Linear conditions matrix x = target on the free columns; matrix (m, p), target (m,)."""
+
+    matrix: Array
+    target: Array
+
+    @staticmethod
+    def none(size: int) -> Conditions:
+        """No conditions on `size` columns."""
+        return Conditions(np.zeros((0, size)), np.zeros(0))
+
+    def pinned(self, places: Index, values: Array) -> Conditions:
+        """The same with the columns `places` set to values."""
+        rows = np.zeros((len(places), self.matrix.shape[1]))
+        rows[np.arange(len(places)), places] = 1.0
+        return Conditions(np.concatenate([self.matrix, rows]), np.concatenate([self.target, values]))
+
+
+def _null_space(matrix: Array, target: Array) -> tuple[Array, Array]:
+    """Basis (p, q) of the null space of conditions, and the smallest solution (p,) that comes nearest to their target."""
+    size = np.linalg.norm(matrix, axis=1)
+    size[size == 0] = 1.0
+    left, values, right = np.linalg.svd(matrix / size[:, None])
+    rank = int(np.sum(values > RANK_TOLERANCE * max(values[0], 1e-300))) if len(values) else 0
+    particular = right[:rank].T @ ((left[:, :rank].T @ (target / size)) / values[:rank])
+    return right[rank:].T, particular
+
+
+class DenseFactor:
+    """Orthogonal factor of all whitened derivatives within the null space of the conditions.
+
+    derivatives (N, p); residual (N,); conditions; damping: added to the normal matrix in units of its diagonal.
+    step: (p,) least-squares step; null: (p, defect) directions that change no reading; condition: of the scaled derivatives.
+    """
+
+    def __init__(self, derivatives: Array, residual: Array, conditions: Conditions, damping: float = 0.0):
+        self.size = derivatives.shape[1]
+        scale = np.sqrt(np.einsum("ij,ij->j", derivatives, derivatives))
+        self._scale = np.where(scale > 0, scale, 1.0)
+        scaled = derivatives / self._scale
+        self._basis, self._particular = None, np.zeros(self.size)
+        if len(conditions.target):
+            self._basis, self._particular = _null_space(conditions.matrix / self._scale, conditions.target)
+            residual = residual - scaled @ self._particular
+            scaled = scaled @ self._basis
+        width = scaled.shape[1]
+        stacked = np.column_stack([scaled, residual])
+        if damping:
+            stacked = np.concatenate([stacked, np.column_stack([np.sqrt(damping) * np.eye(width), np.zeros(width)])])
+        corner = np.linalg.qr(stacked, mode="r") if len(stacked) > width + 1 else stacked
+        left, self._values, self._right = np.linalg.svd(corner[:, :width], full_matrices=True)
+        largest = self._values[0] if len(self._values) else 1.0
+        self.rank = int(np.sum(self._values > RANK_TOLERANCE * max(largest, 1e-300)))
+        projected = left[:, :self.rank].T @ corner[:, width]
+        self.step = self._outward(self._right[:self.rank].T @ (projected / self._values[:self.rank]) if width else np.zeros(0),
+                                  self._particular)
+        self.decrement = float(np.linalg.norm(projected))
+        self.defect = width - self.rank
+        self.condition = float(largest / self._values[-1]) if len(self._values) == width > 0 and not self.defect else (
+            np.inf if self.defect else 1.0)
+
+    def _outward(self, inner: Array, particular: Array) -> Array:
+        outer = inner if self._basis is None else self._basis @ inner
+        return (outer + particular) / self._scale
+
+    @cached_property
+    def root(self) -> Array:
+        """Matrix (p, rank) whose product with its transpose is the covariance of the free columns."""
+        inner = self._right[:self.rank].T / self._values[:self.rank]
+        outer = inner if self._basis is None else self._basis @ inner
+        return outer / self._scale[:, None]
+
+    @cached_property
+    def null(self) -> Array:
+        """Directions (p, defect) that change no reading and break no condition, in scaled columns' natural units."""
+        inner = self._right[self.rank:].T
+        return (inner if self._basis is None else self._basis @ inner) / self._scale[:, None]
+
+    @cached_property
+    def matrix(self) -> Array:
+        """Covariance (p, p) of the free columns (of the estimable part where there is a defect)."""
+        return self.root @ self.root.T
+
+    def covariance(self, functions: Array) -> Array:
+        """Covariance (k, k) of linear functions (k, p) of the free columns."""
+        mapped = functions @ self.root
+        return mapped @ mapped.T
+
+    def solve(self, right: Array) -> Array:
+        """Inverse normal matrix times right (p, k)."""
+        return self.root @ (self.root.T @ right)
+
+    def between(self, first: Index, second: Index) -> Array:
+        """Covariances (m, f, g) of free columns first (m, f) with second (m, g); -1 stands for a held column."""
+        block = self.matrix[first[:, :, None], second[:, None, :]]
+        return block * (first >= 0)[:, :, None] * (second >= 0)[:, None, :]
+
+
+class EliminatedFactor:
+    """Normal equations with the many small independent blocks of one unknown eliminated.
+
+    Same attributes as DenseFactor; `order`: (p,) free columns with the eliminated ones first.
+    """
+
+    def __init__(self, blocks: Sequence[Block], layout: Layout, unknown: Unknown | None, conditions: Conditions,
+                 damping: float = 0.0):
+        from scipy import sparse
+        self.size = len(layout.free_columns)
+        derivatives, residual = sparse_rows(blocks, layout)
+        inside = np.zeros(self.size, dtype=bool)
+        self._count, self._freedom = 0, 0
+        if unknown is not None:
+            places = layout.position[layout.span(unknown)].reshape(unknown.count, unknown.freedom)
+            places = places[np.all(places >= 0, axis=1)]
+            inside[places.ravel()] = True
+            self._count, self._freedom = places.shape
+        self._inner, self._outer = np.flatnonzero(inside), np.flatnonzero(~inside)
+        self._slot = np.empty(self.size, dtype=np.int64)
+        self._slot[self._inner], self._slot[self._outer] = np.arange(len(self._inner)), np.arange(len(self._outer))
+        self._is_inner = inside
+        self._scale = np.sqrt(np.asarray(derivatives.multiply(derivatives).sum(axis=0)).ravel())
+        self._scale = np.where(self._scale > 0, self._scale, 1.0)
+        scaled = sparse.csr_matrix(derivatives @ sparse.diags(1 / self._scale))
+        self._residual, gradient = residual, scaled.T @ residual
+        inner, outer = scaled[:, self._inner].tocsr(), scaled[:, self._outer].tocsr()
+        f, m = self._freedom, self._count
+        normal = (outer.T @ outer).toarray() + damping * np.eye(len(self._outer))
+        self._coupled = np.zeros((m, f, len(self._outer)))
+        target = gradient[self._outer].copy()
+        self._defective = np.zeros(0, dtype=np.int64)
+        if m:
+            small = self._diagonal_blocks(inner, m, f) + damping * np.eye(f)
+            lengths, axes = np.linalg.eigh(small)
+            weak = lengths <= RANK_TOLERANCE * np.maximum(lengths[:, -1:], 1e-300)
+            self._defective = np.flatnonzero(weak.any(axis=1))
+            inverse_root = np.where(weak, 0.0, 1 / np.sqrt(np.where(weak, 1.0, lengths)))
+            self._half = inverse_root[:, :, None] * axes.transpose(0, 2, 1)        # (m, f, f), Half N Half' = identity
+            self._weak_axes = [axes[i][:, weak[i]] for i in self._defective]
+            cross = (inner.T @ outer).toarray().reshape(m, f, -1)
+            self._coupled = self._half @ cross
+            flat = self._coupled.reshape(m * f, -1)
+            self._inner_target = (self._half @ gradient[self._inner].reshape(m, f, 1))[:, :, 0]
+            normal -= flat.T @ flat
+            target -= flat.T @ self._inner_target.ravel()
+        self._finish(normal, target, conditions)
+
+    @staticmethod
+    def _diagonal_blocks(inner, m: int, f: int) -> Array:  # type: ignore[no-untyped-def]
+        product = (inner.T @ inner).tobsr(blocksize=(f, f))
+        product.sort_indices()
+        blocks = np.zeros((m, f, f))
+        rows = np.repeat(np.arange(m), np.diff(product.indptr))
+        diagonal = rows == product.indices
+        blocks[rows[diagonal]] = product.data[diagonal]
+        return blocks
+
+    def _finish(self, normal: Array, target: Array, conditions: Conditions) -> None:
+        basis, particular = None, np.zeros(len(self._outer))
+        if len(conditions.target):
+            basis, particular = _null_space((conditions.matrix / self._scale)[:, self._outer], conditions.target)
+            target = basis.T @ (target - normal @ particular)
+            normal = basis.T @ normal @ basis
+        values, axes = np.linalg.eigh(normal) if len(normal) else (np.zeros(0), np.zeros((0, 0)))
+        largest = values[-1] if len(values) else 1.0
+        strong = values > RANK_TOLERANCE * max(largest, 1e-300)
+        self.rank = int(strong.sum()) + self._count * self._freedom - sum(a.shape[1] for a in (self._weak_axes if self._count else []))
+        self.condition = float(np.sqrt(largest / values[0])) if len(values) and strong.all() else (1.0 if not len(values) else np.inf)
+        reduced = axes[:, strong] / np.sqrt(values[strong])
+        self._reduced_root = reduced if basis is None else basis @ reduced            # covariance of outer = root root'
+        weak = axes[:, ~strong]
+        self._reduced_null = weak if basis is None else basis @ weak
+        outer_step = self._reduced_root @ (reduced.T @ target) + particular
+        step = np.zeros(self.size)
+        step[self._outer] = outer_step
+        if self._count:
+            inner = self._inner_target - self._coupled @ outer_step
+            step[self._inner] = np.einsum("mji,mj->mi", self._half, inner).ravel()
+        self.step = step / self._scale
+        parts = (float(np.linalg.norm(reduced.T @ target)), float(np.linalg.norm(self._inner_target)) if self._count else 0.0)
+        self.decrement = float(np.hypot(*parts))
+        self.defect = self._reduced_null.shape[1] + sum(a.shape[1] for a in (self._weak_axes if self._count else []))
+
+    @cached_property
+    def _inner_root(self) -> Array:
+        """(m, f, rank) root of the part of the eliminated covariance that comes through the outer unknowns, signed."""
+        return -np.einsum("mji,mjs->mis", self._half, self._coupled @ self._reduced_root)
+
+    @cached_property
+    def null(self) -> Array:
+        """Directions (p, defect) that change no reading and break no condition."""
+        columns = []
+        for k in range(self._reduced_null.shape[1]):
+            direction = np.zeros(self.size)
+            direction[self._outer] = self._reduced_null[:, k]
+            if self._count:
+                direction[self._inner] = -np.einsum("mji,mj->mi", self._half, self._coupled @ self._reduced_null[:, k]).ravel()
+            columns.append(direction)
+        for i, axes in zip(self._defective, self._weak_axes if self._count else [], strict=True):
+            for axis in axes.T:
+                direction = np.zeros(self.size)
+                direction[self._inner[i * self._freedom:(i + 1) * self._freedom]] = axis
+                columns.append(direction)
+        return (np.array(columns).reshape(-1, self.size) / self._scale).T
+
+    def _mapped(self, functions: Array) -> tuple[Array, Array]:
+        """Functions (k, p) through the outer root (k, rank) and through the inner blocks (k, m f)."""
+        scaled = functions / self._scale
+        through = scaled[:, self._outer] @ self._reduced_root
+        own = np.zeros((len(functions), 0))
+        if self._count:
+            inner = scaled[:, self._inner].reshape(len(functions), self._count, self._freedom)
+            through = through + np.einsum("kmf,mfs->ks", inner, self._inner_root)
+            own = np.einsum("kmf,mgf->kmg", inner, self._half).reshape(len(functions), -1)
+        return through, own
+
+    def covariance(self, functions: Array) -> Array:
+        """Covariance (k, k) of linear functions (k, p) of the free columns."""
+        through, own = self._mapped(functions)
+        return through @ through.T + own @ own.T
+
+    def solve(self, right: Array) -> Array:
+        """Inverse normal matrix times right (p, k)."""
+        through, own = self._mapped(right.T)
+        solution = np.zeros_like(right)
+        solution[self._outer] = self._reduced_root @ through.T
+        if self._count:
+            inner = np.einsum("mfs,ks->mfk", self._inner_root, through)
+            inner += np.einsum("mgf,kmg->mfk", self._half, own.reshape(right.shape[1], self._count, self._freedom))
+            solution[self._inner] = inner.reshape(-1, right.shape[1])
+        return solution / self._scale[:, None]
+
+    @cached_property
+    def _full_root(self) -> Array:
+        """(p, rank) root of the covariance that comes through the outer unknowns, in scaled columns."""
+        root = np.zeros((self.size, self._reduced_root.shape[1]))
+        root[self._outer] = self._reduced_root
+        if self._count:
+            root[self._inner] = self._inner_root.reshape(-1, root.shape[1])
+        return root
+
+    @cached_property
+    def _outer_covariance(self) -> Array:
+        return self._reduced_root @ self._reduced_root.T
+
+    @cached_property
+    def _cross_covariance(self) -> Array:
+        return self._inner_root.reshape(len(self._inner), -1) @ self._reduced_root.T
+
+    @cached_property
+    def _inner_covariance(self) -> Array:
+        return (self._inner_root @ self._inner_root.transpose(0, 2, 1) + self._half.transpose(0, 2, 1) @ self._half)
+
+    def between(self, first: Index, second: Index) -> Array:
+        """Covariances (m, f, g) of free columns first (m, f) with second (m, g); -1 stands for a held column."""
+        a_inner, b_inner = self._is_inner[first[0, 0]], self._is_inner[second[0, 0]]
+        a, b = self._slot[first], self._slot[second]
+        if not a_inner and not b_inner:
+            block = self._outer_covariance[a[:, :, None], b[:, None, :]]
+        elif a_inner and not b_inner:
+            block = self._cross_covariance[a[:, :, None], b[:, None, :]]
+        elif b_inner and not a_inner:
+            block = self._cross_covariance[b[:, None, :], a[:, :, None]]
+        elif first.shape == second.shape and np.array_equal(a, b):
+            block = self._inner_covariance[a[:, 0] // self._freedom]
+        else:
+            root = self._full_root
+            block = root[first] @ root[second].transpose(0, 2, 1)
+            same = (a[:, 0] // self._freedom) == (b[:, 0] // self._freedom)
+            own = self._half.transpose(0, 2, 1) @ self._half
+            block[same] += own[a[same, 0] // self._freedom]
+        scaled = block / (self._scale[first][:, :, None] * self._scale[second][:, None, :])
+        return scaled * (first >= 0)[:, :, None] * (second >= 0)[:, None, :]
+
+    @cached_property
+    def matrix(self) -> Array:
+        """Covariance (p, p) of all free columns; only sensible where p is moderate."""
+        return self.covariance(np.eye(self.size))
+
+
+Factor = DenseFactor | EliminatedFactor
+
+
+def sparse_rows(blocks: Sequence[Block], layout: Layout):  # type: ignore[no-untyped-def]
+    """All whitened derivatives as one sparse matrix (N, p) over the free columns, and the residuals (N,)."""
+    from scipy import sparse
+    data, rows, columns, residuals, begin = [], [], [], [], 0
+    for block in blocks:
+        m, d = block.residual.shape
+        numbers = begin + np.arange(m * d).reshape(m, d)
+        for part in block.parts:
+            place = np.broadcast_to(layout.position[part.columns][:, None, :], part.jacobian.shape)
+            row = np.broadcast_to(numbers[:, :, None], part.jacobian.shape)
+            kept = (place >= 0).ravel()
+            whole = bool(kept.all())
+            data.append(part.jacobian.ravel() if whole else part.jacobian.ravel()[kept])
+            rows.append(row.ravel() if whole else row.ravel()[kept])
+            columns.append(place.ravel() if whole else place.ravel()[kept])
+        residuals.append(block.residual.ravel())
+        begin += m * d
+    shape = (begin, len(layout.free_columns))
+    if not data:
+        return sparse.csr_matrix(shape), np.concatenate(residuals)
+    return sparse.csr_matrix((np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape), np.concatenate(residuals)
+
+
+def _eliminable(blocks: Sequence[Block], layout: Layout, conditions: Conditions) -> Unknown | None:
+    """The unknown with the most columns of which no block of rows touches two instances and no condition any."""
+    best, most = None, 0
+    for unknown in layout.unknowns:
+        span = layout.span(unknown)
+        free = layout.free[span].reshape(unknown.count, unknown.freedom)
+        if unknown.count < 2 or not np.all(free.all(axis=1) | ~free.any(axis=1)):
+            continue
+        size = int(free.sum())
+        if size <= most or (len(conditions.target) and np.any(conditions.matrix[:, layout.position[span][free.ravel()]])):
+            continue
+        alone = True
+        for block in blocks:
+            touching = [p.columns[:, 0] for p in block.parts if span.start <= p.columns[0, 0] < span.stop]
+            alone = alone and all(np.array_equal(touching[0], other) for other in touching[1:])
+        if alone:
+            best, most = unknown, size
+    return best
+
+
+def factorise(blocks: Sequence[Block], layout: Layout, conditions: Conditions, damping: float = 0.0) -> Factor:
+    """Factor the normal equations of whitened rows: dense where small, else with blocks eliminated.
+
+    blocks: whitened residuals and derivatives; layout: their columns; conditions: on the free columns.
+    damping: added to the diagonal in units of itself.
+    """
+    size = len(layout.free_columns)
+    if size <= DENSE_SIZE:
+        rows = [b.dense(layout.position, size) for b in blocks]
+        return DenseFactor(np.concatenate(rows), np.concatenate([b.residual.ravel() for b in blocks]), conditions, damping)
+    return EliminatedFactor(blocks, layout, _eliminable(blocks, layout, conditions), conditions, damping)

@@ -1,0 +1,222 @@
+"""The waist: whitened residuals and derivatives at given values, held columns too, on which every analysis stands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.blocks import Array, Block, Part
+from calib.effect import Effect
+from calib.elimination import Conditions, Factor, factorise, sparse_rows
+from calib.errors import DeclarationError
+from calib.layout import Layout
+from calib.observations import Observations, Quantity
+from calib.problem import Problem
+from calib.system import System
+from calib.uncertainty import Weighting
+from calib.unknown import Selection, Unknown
+
+
+@dataclass(frozen=True)
+class Group:
+    """One group of observations at the point of linearisation.
+
+    name; rows (n,) of the data file; components, units: of the dim components; readings (n, dim) or None;
+    predicted, residual (n, dim) SI; weighting: its covariance; parts: derivatives with respect to all columns;
+    covariates, covariate_units; is_prior; counted (n,): whether a row takes part in the estimate.
+    """
+
+    name: str
+    rows: NDArray
+    components: tuple[str, ...]
+    units: tuple[str, ...]
+    readings: Array | None
+    predicted: Array
+    residual: Array
+    weighting: Weighting
+    parts: tuple[Part, ...]
+    covariates: Mapping[str, NDArray]
+    covariate_units: Mapping[str, str]
+    is_prior: bool
+    counted: NDArray[np.bool_]
+
+    @cached_property
+    def whitened(self) -> tuple[Block, ...]:
+        """Whitened residuals and derivatives."""
+        return tuple(m.apply(self.residual, self.parts) for m in self.weighting.whitening)
+
+    @cached_property
+    def size(self) -> int:
+        """Number of scalar readings that take part in the estimate."""
+        return int(self.counted.sum()) * self.residual.shape[1]
+
+    @cached_property
+    def objective(self) -> float:
+        """v'Pv of the rows that take part."""
+        return sum(float(np.sum(b.residual[self.counted[b.rows[:, 0]]] ** 2)) for b in self.whitened)
+
+
+@dataclass(frozen=True)
+class Functions:
+    """Linear functions of the columns: labels, display units, values (k,) SI and derivatives (k, size)."""
+
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    derivatives: Array
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Groups, columns, conditions and quantities of a problem at one point; analyses are functions of it.
+
+    name: of the problem; layout; groups; conditions on the free columns; values: stored values of all unknowns;
+    results: the quantities as functions; effects: the unknown of each attached effect.
+    """
+
+    name: str
+    layout: Layout
+    groups: tuple[Group, ...]
+    conditions: Conditions
+    values: Mapping[Unknown, Array]
+    results: Mapping[Quantity, Functions]
+    effects: Mapping[Effect, Unknown]
+
+    @cached_property
+    def blocks(self) -> list[Block]:
+        """Whitened rows of all groups."""
+        return [b for g in self.groups for b in g.whitened]
+
+    @cached_property
+    def factor(self) -> Factor:
+        """Factor of the normal equations of the free columns."""
+        return factorise(self.blocks, self.layout, self.conditions)
+
+    @cached_property
+    def objective(self) -> float:
+        """v'Pv."""
+        return sum(g.objective for g in self.groups)
+
+    @cached_property
+    def dof(self) -> int:
+        """Degrees of freedom: readings less the rank."""
+        return sum(g.size for g in self.groups) - self.factor.rank
+
+    def free_part(self, derivatives: Array) -> Array:
+        """Derivatives (k, p) with respect to the free columns, of derivatives (k, size)."""
+        return derivatives[:, self.layout.free_columns]
+
+    def group(self, name: str) -> Group:
+        """A group by name."""
+        for group in self.groups:
+            if group.name == name:
+                return group
+        raise DeclarationError(f"{self.name} has no group '{name}'; there are {', '.join(g.name for g in self.groups)}.")
+
+    def functions(self, *what: Any) -> Functions:
+        """Unknowns, selections, effects or quantities as linear functions; nothing: all quantities, else all that is free."""
+        if not what:
+            what = tuple(self.results) or tuple(u for u in self.layout.unknowns if self.layout.free[self.layout.span(u)].any())
+        pieces = [self._function(w) for w in what]
+        return Functions(tuple(label for p in pieces for label in p.labels), tuple(u for p in pieces for u in p.units),
+                         np.concatenate([p.values for p in pieces]), np.concatenate([p.derivatives for p in pieces]))
+
+    def _function(self, what: Any) -> Functions:
+        if isinstance(what, Functions):
+            return what
+        if isinstance(what, Quantity):
+            return self.results[what]
+        if isinstance(what, str):
+            return self._named(what)
+        selection = what if isinstance(what, Selection) else Selection(self.effects[what] if isinstance(what, Effect) else what)
+        unknown, mask = selection.unknown, selection.mask().ravel()
+        columns = np.flatnonzero(mask)
+        derivatives = np.zeros((len(columns), self.layout.size))
+        derivatives[np.arange(len(columns)), self.layout.offset[unknown] + columns] = 1.0
+        labels = unknown.labels
+        if unknown.kind == "vector":
+            values = self.values[unknown].ravel()[columns]
+        elif unknown.kind == "pose":
+            values = np.concatenate([self.values[unknown][:, :3], np.zeros((unknown.count, 3))], axis=1).ravel()[columns]
+        else:
+            values = np.zeros(len(columns))
+        return Functions(tuple(labels[c] for c in columns), tuple(unknown.units[c % unknown.freedom] for c in columns),
+                         values, derivatives)
+
+    def _named(self, name: str) -> Functions:
+        for quantity in self.results:
+            if quantity.name == name:
+                return self.results[quantity]
+        for unknown in self.layout.unknowns:
+            if unknown.name == name:
+                return self._function(unknown)
+            if name in unknown.labels:
+                instance, part = divmod(unknown.labels.index(name), unknown.freedom)
+                return self._function(Selection(unknown, np.array(instance), (part,)))
+        names = [q.name for q in self.results] + [u.name for u in self.layout.unknowns]
+        raise DeclarationError(f"{self.name} has no quantity or unknown '{name}'; there are {', '.join(names)}.")
+
+    def scaled(self, factors: Mapping[str, float]) -> Linearisation:
+        """The same with the standard uncertainties of named groups multiplied by factors."""
+        return replace(self, groups=tuple(replace(g, weighting=g.weighting.scaled(factors[g.name])) if g.name in factors else g
+                                          for g in self.groups))
+
+    @cached_property
+    def rows(self):  # type: ignore[no-untyped-def]
+        """Whitened derivatives of all groups as a sparse matrix (N, p) over the free columns, and the residuals (N,)."""
+        return sparse_rows(self.blocks, self.layout)
+
+    def held_columns(self, columns: Sequence[int]) -> Array:
+        """Whitened derivatives (N, k) with respect to held columns, rows as in `rows`."""
+        position = np.full(self.layout.size, -1)
+        position[np.asarray(columns, dtype=int)] = np.arange(len(columns))
+        return np.concatenate([b.dense(position, len(columns)) for b in self.blocks])
+
+
+def linearise(at: Any, values: Any = None) -> Linearisation:
+    """Linearise a problem at an estimate, or at values for planning (readings may then be absent).
+
+    at: an Estimate, or a Problem; values: with a Problem, {unknown: value in its declared shape} (start values else).
+    Returns the Linearisation that every analysis takes.
+    """
+    if isinstance(at, Problem):
+        system = System(at)
+        stored = dict(system.layout.start())
+        for what, value in (values or {}).items():
+            unknown = at.select(what).unknown
+            stored[unknown] = unknown.store(value)
+    else:
+        system, stored = System(at.problem), dict(at.values)
+    return linearise_system(system, stored)
+
+
+def linearise_system(system: System, values: Mapping[Unknown, Array]) -> Linearisation:
+    """Linearise a system at stored values."""
+    layout, groups = system.layout, []
+    for term, weighting in zip(system.terms, system.weightings(values), strict=True):
+        observations = term.bound
+        assert isinstance(observations, Observations)
+        predicted, parts = term.derive(values, held_too=True)
+        counted = np.ones(term.n, dtype=bool)
+        if observations.is_prior:
+            counted = np.any([layout.free[p.columns].any(axis=1) for p in parts], axis=0)
+        groups.append(Group(observations.group, observations.rows, observations.components(term.dim),
+                            observations.units(term.dim), observations.readings, predicted,
+                            system.residual(term, predicted), weighting, tuple(parts), observations.covariates,
+                            observations.covariate_units, observations.is_prior, counted))
+    _, matrix, _ = system.conditions_at(values)
+    conditions = Conditions(matrix[:, layout.free_columns], np.zeros(len(matrix)))
+    lower, upper = (b[layout.free_columns] for b in layout.bounds(values))
+    at_bound = np.flatnonzero((lower >= 0) | (upper <= 0))
+    results = {}
+    for quantity in system.problem.quantities:
+        value, derivatives = system.result(quantity, values)
+        dim = value.shape[1]
+        results[quantity] = Functions(tuple(quantity.labels(dim)), quantity.units(dim) * quantity.n, value.ravel(), derivatives)
+    return Linearisation(system.problem.name, layout, tuple(groups), conditions.pinned(at_bound, np.zeros(len(at_bound))),
+                         dict(values), results, {a.effect: a.unknown for a in system.problem.attached})

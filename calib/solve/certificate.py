@@ -1,0 +1,147 @@
+"""The certificate: conditions of optimality at an estimate, computed apart from the solver that found it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.blocks import Array
+from calib.elimination import Conditions, Factor, factorise
+from calib.observations import Constraint
+from calib.system import System, Values
+from calib.uncertainty import Weighting
+
+STATIONARITY = 1e-6      # remaining step, in units of u, that passes
+CURVATURE_SIZE = 400     # unknowns up to which the exact Hessian is formed
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What was verified at an estimate.
+
+    stationarity: remaining step in units of u within the active conditions (None where the loss is not least squares);
+    feasibility: largest excess of a condition in units of its tolerance; signs: whether every active bound or inequality
+    pushes the right way; curvature: smallest eigenvalue of the exact Hessian relative to the Gauss-Newton matrix (None
+    where there are too many unknowns); gap: duality gap where the method proves one; passed; why: a sentence.
+    """
+
+    stationarity: float | None
+    feasibility: float
+    signs: bool
+    curvature: float | None
+    gap: float | None
+    passed: bool
+    why: str
+
+
+def certify(system: System, values: Values, weightings: Sequence[Weighting], gap: float | None = None,
+            least_squares: bool = True) -> Certificate:
+    """Certify stored values of a system.
+
+    weightings: row operations that were used; gap: duality gap proved by the method; least_squares: whether the
+    objective is v'Pv (else only feasibility and the gap are judged).
+    """
+    layout = system.layout
+    equal, unequal, feasibility = _active_conditions(system, values)
+    if not least_squares:
+        passed = feasibility <= 1.0 and gap is not None and gap <= 1e-6
+        return Certificate(None, feasibility, True, None, gap, passed,
+                           "duality gap closed" if passed else "the duality gap is open or a condition is broken")
+    blocks = system.blocks(values, weightings)
+    pull = np.zeros(layout.size)
+    for block in blocks:
+        for part in block.parts:
+            np.add.at(pull, part.columns.ravel(), np.einsum("mdf,md->mf", part.jacobian, block.residual).ravel())
+    pull = pull[layout.free_columns]
+    matrix = np.concatenate([equal, unequal])[:, layout.free_columns]
+    lower, upper = (b[layout.free_columns] for b in layout.bounds(values))
+    pins = np.flatnonzero((lower >= 0) | (upper <= 0))
+    conditions = Conditions(matrix, np.zeros(len(matrix))).pinned(pins, np.zeros(len(pins)))
+    factor = factorise(blocks, layout, conditions)
+    stationarity = float(np.sqrt(factor.covariance(pull[None])[0, 0]))
+    multipliers = np.linalg.lstsq(conditions.matrix.T, pull, rcond=None)[0] if len(conditions.target) else np.zeros(0)
+    signs = _signs_hold(system, multipliers, len(equal), len(unequal), pins, lower, upper, factor)
+    curvature = None
+    if len(layout.free_columns) <= CURVATURE_SIZE and not factor.defect:
+        curvature = _curvature(system, values, weightings, factor, multipliers[:len(matrix)])
+    reasons = []
+    if not stationarity <= STATIONARITY:
+        reasons.append(f"a step of {stationarity:.1e} u remains")
+    if not feasibility <= 1.0:
+        reasons.append(f"a condition is missed by {feasibility:.1e} of its tolerance")
+    if not signs:
+        reasons.append("an active bound pushes the wrong way")
+    if curvature is not None and not curvature > 0:
+        reasons.append(f"the objective curves downwards ({curvature:.1e}): a saddle or a maximum")
+    if factor.defect:
+        reasons.append(f"{factor.defect} direction(s) change no reading")
+    return Certificate(stationarity, feasibility, signs, curvature, gap, not reasons,
+                       "; ".join(reasons) if reasons else "stationary, feasible and curved upwards")
+
+
+def _active_conditions(system: System, values: Values) -> tuple[Array, Array, float]:
+    """Derivatives of the equalities, of the active inequalities (signed upwards), and the largest excess."""
+    equal, unequal, feasibility = [np.zeros((0, system.layout.size))], [np.zeros((0, system.layout.size))], 0.0
+    for term in system.conditions:
+        constraint = term.bound
+        assert isinstance(constraint, Constraint)
+        value, parts = term.derive(values, held_too=True)
+        derivatives = _matrix(term, parts, system.layout.size)
+        over = (value - constraint.upper).ravel() / constraint.tolerance
+        under = (constraint.lower - value).ravel() / constraint.tolerance
+        feasibility = max(feasibility, float(np.max(np.maximum(over, under))))
+        if constraint.is_equality:
+            equal.append(derivatives)
+        else:
+            unequal += [derivatives[over >= -1.0], -derivatives[under >= -1.0]]
+    return np.concatenate(equal), np.concatenate(unequal), max(feasibility, 0.0)
+
+
+def _matrix(term, parts, size: int) -> Array:  # type: ignore[no-untyped-def]
+    from calib.system import _sum_to_matrix
+    return _sum_to_matrix(term, size, parts)
+
+
+def _signs_hold(system: System, multipliers: Array, equalities: int, inequalities: int, pins: Array, lower: Array,
+                upper: Array, factor: Factor) -> bool:
+    """Whether active inequalities and bounds are pushed against, judged in units of u of the pinned direction."""
+    slack = 1e-6 * max(1.0, float(np.abs(multipliers).max(initial=0.0)))
+    active = multipliers[equalities:equalities + inequalities]
+    if np.any(active < -slack):
+        return False
+    at_bound = multipliers[equalities + inequalities:]
+    low, high = lower[pins] >= 0, upper[pins] <= 0
+    return not np.any((low & ~high & (at_bound > slack)) | (high & ~low & (at_bound < -slack)))
+
+
+def _curvature(system: System, values: Values, weightings: Sequence[Weighting], factor: Factor, multipliers: Array) -> float:
+    """Smallest eigenvalue of the exact Hessian of half v'Pv in the metric of the Gauss-Newton matrix."""
+    layout = system.layout
+    second = np.zeros((layout.size, layout.size))
+    for term, weighting in zip(system.terms, weightings, strict=True):
+        if term.traced.affine or not any(term.any_free):
+            continue
+        residual = system.residual(term, term.predict(values))
+        weighed = np.empty_like(residual)
+        for mixing in weighting.weights:
+            block = mixing.apply(residual, ())
+            targets = block.residual.shape[1] // residual.shape[1]
+            weighed[block.rows[:, :targets]] = block.residual.reshape(len(block.rows), targets, -1)
+        _scatter(second, *term.curvature(values, -weighed))
+    begin = 0
+    for term in system.conditions:
+        size = term.n * term.dim
+        if begin + size <= len(multipliers) and not term.traced.affine and any(term.any_free):
+            _scatter(second, *term.curvature(values, multipliers[begin:begin + size].reshape(term.n, term.dim)))
+        begin += size
+    free = second[np.ix_(layout.free_columns, layout.free_columns)]
+    root = factor.root if hasattr(factor, "root") else np.linalg.cholesky(factor.matrix)
+    if root.shape[1] == 0:
+        return 1.0
+    return float(1.0 + np.linalg.eigvalsh(root.T @ free @ root)[0])
+
+
+def _scatter(matrix: Array, columns: Array, hessians: Array) -> None:
+    np.add.at(matrix, (columns[:, :, None], columns[:, None, :]), hessians)

@@ -1,0 +1,114 @@
+"""Gauss-Newton with Levenberg-Marquardt damping, equality constraints by their null space, and simple bounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.blocks import Array
+from calib.elimination import Conditions, factorise
+from calib.observations import Constraint
+from calib.solve.method import Method, Outcome, missing_readings
+from calib.system import System, Values
+from calib.unknown import Unknown
+
+
+@dataclass(frozen=True)
+class GaussNewton(Method):
+    """The method for least squares: quadratic near the answer, damped far from it.
+
+    tolerance: the remaining step, in units of u, at which it stops; iterations: how many steps at most.
+    """
+
+    tolerance: float = 1e-11
+    iterations: int = 200
+    name = "gauss-newton"
+
+    def refusal(self, system: System) -> str | None:
+        for term in system.conditions:
+            assert isinstance(term.bound, Constraint)
+            if not term.bound.is_equality:
+                return f"constraint '{term.bound.name}' is an inequality; use Ipopt()"
+        return missing_readings(system.problem)
+
+    def minimise(self, system: System, start: Values) -> Outcome:
+        layout, values = system.layout, dict(start)
+        values = _into_bounds(system, values)
+        weightings = system.weightings(values)
+        damping, penalty, last, message = 0.0, 0.0, np.inf, "stopped at the limit of iterations"
+        size = np.linalg.norm(np.concatenate([(t.predict(values) / w.u).ravel()
+                                              for t, w in zip(system.terms, weightings, strict=True)]))
+        floor = 8 * np.finfo(float).eps * float(size)      # rounding of the predictions, in units of u
+        for iteration in range(1, self.iterations + 1):
+            blocks = system.blocks(values, weightings)
+            excess, matrix, tolerance = system.conditions_at(values)
+            conditions = Conditions(matrix[:, layout.free_columns], -excess)
+            gradient = _gradient(blocks, layout.position, len(layout.free_columns))
+            pins, room = _active(system, values, gradient)
+            conditions = conditions.pinned(pins, np.zeros(len(pins)))
+            objective = sum(float(np.vdot(b.residual, b.residual)) for b in blocks)
+            infeasible = float(np.abs(excess / tolerance).sum()) if len(excess) else 0.0
+            undamped = factorise(blocks, layout, conditions)
+            remaining = undamped.decrement
+            if infeasible <= 1e-3 and (remaining <= max(self.tolerance, floor)
+                                       or (remaining <= 1e-6 and remaining >= 0.5 * last and damping == 0.0)):
+                values = self._moved(system, values, undamped.step, room)
+                return Outcome(values, True, iteration, "converged")
+            last = remaining
+            accepted = False
+            for _ in range(40):
+                factor = undamped if damping == 0.0 else factorise(blocks, layout, conditions, damping)
+                trial = self._moved(system, values, factor.step, room)
+                gain, new_infeasible = self._merit(system, trial, weightings)
+                penalty = max(penalty, 2 * abs(gain - objective) / infeasible if infeasible > 1e-3 and np.isfinite(gain) else 0.0)
+                slack = 1e-10 * objective + 1e-12
+                if (gain + penalty * new_infeasible <= objective + penalty * infeasible + slack
+                        or (remaining <= 1e-5 and new_infeasible <= max(infeasible, 1e-3))):
+                    accepted = True
+                    break
+                damping = max(10 * damping, 1e-4)
+            if not accepted:
+                message = "no step lowers the objective; the start may be far away or the model not smooth there"
+                break
+            values = trial
+            damping = damping / 10 if damping > 1e-6 else 0.0
+        return Outcome(values, False, iteration, message)
+
+    @staticmethod
+    def _moved(system: System, values: Values, step: Array, room: tuple[Array, Array]) -> dict[Unknown, Array]:
+        layout = system.layout
+        full = np.zeros(layout.size)
+        full[layout.free_columns] = np.clip(step, room[0], room[1])
+        return layout.move(values, full)
+
+    @staticmethod
+    def _merit(system: System, values: Values, weightings) -> tuple[float, float]:  # type: ignore[no-untyped-def]
+        from calib.errors import CalibrationError
+        try:
+            whitened = system.whitened(values, weightings)
+        except CalibrationError:
+            return np.inf, np.inf
+        excess, _, tolerance = system.conditions_at(values)
+        return float(whitened @ whitened), float(np.abs(excess / tolerance).sum()) if len(excess) else 0.0
+
+
+def _gradient(blocks, position: NDArray[np.int64], size: int) -> Array:  # type: ignore[no-untyped-def]
+    """Derivative of half the objective with respect to the free columns (p,), negated: where it pulls."""
+    pull = np.zeros(size + 1)
+    for block in blocks:
+        for part in block.parts:
+            np.add.at(pull, position[part.columns].ravel(), np.einsum("mdf,md->mf", part.jacobian, block.residual).ravel())
+    return pull[:size]
+
+
+def _into_bounds(system: System, values: dict[Unknown, Array]) -> dict[Unknown, Array]:
+    return {u: np.clip(v, u.lower, u.upper) if u.kind == "vector" else v for u, v in values.items()}
+
+
+def _active(system: System, values: Values, pull: Array) -> tuple[NDArray[np.int64], tuple[Array, Array]]:
+    """Free columns that sit at a bound and are pulled against it, and the room of every free column."""
+    lower, upper = (b[system.layout.free_columns] for b in system.layout.bounds(values))
+    pins = np.flatnonzero(((lower >= 0) & (pull < 0)) | ((upper <= 0) & (pull > 0)))
+    return pins, (lower, upper)

@@ -1,0 +1,222 @@
+"""System: a problem ready for numbers - residuals, derivatives and constraints at given values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.blocks import Array, Block, Part
+from calib.errors import CalibrationError
+from calib.layout import Layout
+from calib.observations import BoundModel, Constraint, Observations, Quantity
+from calib.problem import Problem
+from calib.trace import Traced, numeric_covariates, trace
+from calib.uncertainty import Weighting
+from calib.unknown import Unknown
+
+Values = Mapping[Unknown, Array]
+
+
+@dataclass(frozen=True)
+class _Feed:
+    """One source of a row function, bound: an unknown with the instance of each row, or data (n or 1, width)."""
+
+    unknown: Unknown | None
+    index: NDArray[np.int64] | None
+    data: Array | None
+
+    def inputs(self, values: Values) -> list[Any]:
+        if self.unknown is None:
+            assert self.data is not None
+            return [c[0] if len(c) == 1 else c for c in np.ascontiguousarray(self.data.T)]
+        stored = values[self.unknown]
+        if self.unknown.count == 1:
+            return list(stored[0])
+        return list(np.ascontiguousarray(stored[self.index].T))
+
+
+class Term:
+    """One bound model in a system: its row functions and where its arguments stand among the columns."""
+
+    def __init__(self, bound: BoundModel, traced: Traced, feeds: Sequence[_Feed], layout: Layout):
+        self.bound, self.traced, self.feeds = bound, traced, tuple(feeds)
+        self.n, self.dim = bound.n, traced.dim
+        self.columns = [None if f.unknown is None else layout.columns(f.unknown, f.index) for f in feeds]
+        self.any_free = tuple(c is not None and bool(layout.free[c].any()) for c in self.columns)
+        self.any_unknown = tuple(c is not None for c in self.columns)
+
+    def _inputs(self, values: Values) -> list[Any]:
+        return [column for feed in self.feeds for column in feed.inputs(values)]
+
+    def predict(self, values: Values) -> Array:
+        """Predictions (n, dim)."""
+        nothing = (False,) * len(self.feeds)
+        return np.ascontiguousarray(self.traced.program(nothing)(self._inputs(values), self.n).T)
+
+    def derive(self, values: Values, held_too: bool = False) -> tuple[Array, list[Part]]:
+        """Predictions (n, dim) and their derivatives; held_too: also with respect to what is held."""
+        wanted = self.any_unknown if held_too else self.any_free
+        result = self.traced.program(wanted)(self._inputs(values), self.n)
+        parts, begin = [], self.dim
+        for columns, source, want in zip(self.columns, self.traced.sources, wanted, strict=True):
+            if want:
+                end = begin + self.dim * source.freedom
+                jacobian = result[begin:end].reshape(source.freedom, self.dim, self.n).transpose(2, 1, 0)
+                parts.append(Part(columns, np.ascontiguousarray(jacobian)))
+                begin = end
+        return np.ascontiguousarray(result[:self.dim].T), parts
+
+    def curvature(self, values: Values, weights: Array) -> tuple[NDArray[np.int64], Array]:
+        """Columns (n, F) of the free arguments and the Hessians (n, F, F) of weights (n, dim) times the prediction."""
+        columns = np.concatenate([c for c, want in zip(self.columns, self.any_free, strict=True) if want], axis=1)
+        flat = self.traced.curvature(self.any_free)([*self._inputs(values), *np.ascontiguousarray(weights.T)], self.n)
+        size = columns.shape[1]
+        return columns, flat.reshape(size, size, self.n).transpose(2, 0, 1)
+
+
+def _sum_to_matrix(term: Term, size: int, parts: Sequence[Part]) -> Array:
+    block = Block(np.zeros((term.n, 1), dtype=np.int64), np.zeros((term.n, term.dim)), tuple(parts))
+    return block.dense(np.arange(size), size)
+
+
+class System:
+    """A problem with its traced row functions; readings, weights and held values are its data.
+
+    problem: what was declared; layout: its columns; terms, conditions, results: its observations, constraints and
+    quantities, ready to evaluate.
+    """
+
+    def __init__(self, problem: Problem):
+        self.problem = problem
+        self.layout = Layout(problem.unknowns, {u: problem.is_held(u) for u in problem.unknowns})
+        self.terms = tuple(self._term(o) for o in problem.observations)
+        self.conditions = tuple(self._plain(c) for c in problem.constraints)
+        for term in self.terms:
+            observations = term.bound
+            assert isinstance(observations, Observations)
+            if observations.readings is not None and observations.readings.shape != (term.n, term.dim):
+                raise CalibrationError(f"observations '{observations.group}': the model {observations.model_name} predicts "
+                                       f"{term.dim} components for {term.n} rows, the readings have shape "
+                                       f"{observations.readings.shape}.")
+
+    def _feeds(self, bound: BoundModel) -> list[_Feed]:
+        return [_Feed(a.unknown, a.index, a.data) for a in bound.arguments]
+
+    def _term(self, observations: Observations) -> Term:
+        acting = [a for a in self.problem.attached if observations.group in a.places]
+        needed = {name for a in acting for name in a.effect.inputs}
+        covariates = tuple(name for name in numeric_covariates(observations) if name in needed)
+        traced = trace(observations, tuple(a.effect for a in acting), tuple(a.unknown for a in acting), covariates)
+        feeds = self._feeds(observations)
+        feeds += [_Feed(a.unknown, a.index(observations), None) for a in acting]
+        feeds += [_Feed(None, None, np.asarray(observations.covariates[c], float)[:, None]) for c in covariates]
+        return Term(observations, traced, feeds, self.layout)
+
+    def _plain(self, bound: BoundModel) -> Term:
+        return Term(bound, trace(bound), self._feeds(bound), self.layout)
+
+    @cached_property
+    def results(self) -> dict[Quantity, Term]:
+        """The quantities, ready to evaluate."""
+        return {q: self._plain(q) for q in self.problem.quantities}
+
+    @property
+    def affine(self) -> bool:
+        """Whether every prediction and condition is affine in the unknowns."""
+        return all(t.traced.affine for t in (*self.terms, *self.conditions))
+
+    # --- observations ---------------------------------------------------------------------------------------------
+
+    def weightings(self, values: Values) -> list[Weighting]:
+        """Row operations of every group of observations; those that depend on row quantities are taken at the values."""
+        return [self._weighting(term, values) for term in self.terms]
+
+    def _weighting(self, term: Term, values: Values) -> Weighting:
+        observations = term.bound
+        assert isinstance(observations, Observations)
+
+        def quantity(name: str) -> Array:
+            if name == "reading":
+                return term.predict(values) if observations.readings is None else observations.readings
+            for argument, feed in zip(observations.arguments, term.feeds, strict=False):
+                if argument.name == name:
+                    source = values[feed.unknown][feed.index] if feed.unknown is not None else feed.data
+                    return np.broadcast_to(source, (term.n, source.shape[1]))
+            raise CalibrationError(f"observations '{observations.group}': the uncertainty depends on '{name}', which is "
+                                   f"neither `reading` nor an argument of {observations.model_name}.")
+        return observations.uncertainty.weighting(term.n, term.dim, f"observations '{observations.group}'", quantity)
+
+    @cached_property
+    def depends(self) -> bool:
+        """Whether any uncertainty depends on row quantities."""
+        return any(o.uncertainty.needs for o in self.problem.observations)
+
+    def residual(self, term: Term, predicted: Array) -> Array:
+        """Reading minus prediction (n, dim), brought into half a period where readings are periodic; zero if planned."""
+        observations = term.bound
+        assert isinstance(observations, Observations)
+        if observations.readings is None:
+            return np.zeros_like(predicted)
+        residual = observations.readings - predicted
+        if observations.period is not None:
+            periods = [observations.period] * term.dim if np.ndim(observations.period) == 0 else list(observations.period)
+            for j, period in enumerate(periods):
+                if period is not None:
+                    residual[:, j] -= period * np.rint(residual[:, j] / period)
+        bad = np.argwhere(~np.isfinite(residual))
+        if len(bad):
+            raise CalibrationError(f"observations '{observations.group}', row {observations.rows[bad[0][0]]}: the model "
+                                   f"{observations.model_name} gives {predicted[tuple(bad[0])]} at the present values of "
+                                   f"{', '.join(u.name for u in observations.unknowns)}; start nearer, or mend the model there.")
+        return residual
+
+    def residuals(self, values: Values) -> list[Array]:
+        """Residuals (n, dim) of every group."""
+        return [self.residual(t, t.predict(values)) for t in self.terms]
+
+    def whitened(self, values: Values, weightings: Sequence[Weighting]) -> Array:
+        """All whitened residuals in one vector."""
+        pieces = [m.apply(r, ()).residual.ravel() for r, w in zip(self.residuals(values), weightings, strict=True)
+                  for m in w.whitening]
+        return np.concatenate(pieces)
+
+    def blocks(self, values: Values, weightings: Sequence[Weighting]) -> list[Block]:
+        """All whitened residuals with the derivatives of the predictions with respect to what is free."""
+        blocks = []
+        for term, weighting in zip(self.terms, weightings, strict=True):
+            predicted, parts = term.derive(values)
+            residual = self.residual(term, predicted)
+            blocks += [m.apply(residual, parts) for m in weighting.whitening]
+        return blocks
+
+    # --- conditions and results -----------------------------------------------------------------------------------
+
+    def conditions_at(self, values: Values, equalities_only: bool = True) -> tuple[Array, Array, Array]:
+        """Conditions at the values: excess over their limits (m,), derivatives (m, size), and tolerances (m,)."""
+        excess, matrices, tolerances = [], [], []
+        for term in self.conditions:
+            constraint = term.bound
+            assert isinstance(constraint, Constraint)
+            if equalities_only and not constraint.is_equality:
+                continue
+            value, parts = term.derive(values, held_too=True)
+            low = np.broadcast_to(constraint.lower, value.shape)
+            high = np.broadcast_to(constraint.upper, value.shape)
+            excess.append((np.maximum(value - high, 0.0) - np.maximum(low - value, 0.0) if not constraint.is_equality
+                           else value - low).ravel())
+            matrices.append(_sum_to_matrix(term, self.layout.size, parts))
+            tolerances.append(np.full(value.size, constraint.tolerance))
+        if not excess:
+            return np.zeros(0), np.zeros((0, self.layout.size)), np.zeros(0)
+        return np.concatenate(excess), np.concatenate(matrices), np.concatenate(tolerances)
+
+    def result(self, quantity: Quantity, values: Values) -> tuple[Array, Array]:
+        """Values (n, dim) of a quantity and their derivatives (n dim, size) with respect to all columns."""
+        term = self.results.get(quantity) or self._plain(quantity)
+        value, parts = term.derive(values, held_too=True)
+        return value, _sum_to_matrix(term, self.layout.size, parts)
