@@ -1,0 +1,250 @@
+"""Monte Carlo: re-solve simulated readings of a declared problem, all trials of a batch side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.blocks import Array, Mixing
+from calib.errors import CalibrationError
+from calib.linearisation import Functions, linearise_system
+from calib.observations import Observations, Quantity
+from calib.solve.estimate import Estimate
+from calib.system import System, Term
+from calib.uncertainty import Weighting
+from calib.unknown import Unknown
+
+LANE_NUMBERS = 4_000_000     # numbers in the derivatives of one batch of trials
+STEPS = 25                   # Gauss-Newton steps at most; trials start at the truth, so that three are usual
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """Simulated re-estimates of derived results.
+
+    names, units: of the k results; samples: (trials, k) SI, only trials that converged; failures: trials that did not;
+    linear, linear_u: value and u (k,) of the linear propagation at the truth.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    samples: Array
+    failures: int
+    linear: Array
+    linear_u: Array
+
+    @property
+    def mean(self) -> Array:
+        """Mean (k,)."""
+        return self.samples.mean(axis=0)
+
+    @property
+    def u(self) -> Array:
+        """Standard deviation (k,) of the samples."""
+        return self.samples.std(axis=0, ddof=1)
+
+    def interval_symmetric(self, probability: float = 0.95) -> Array:
+        """Probabilistically symmetric coverage interval (k, 2)."""
+        return np.quantile(self.samples, [(1 - probability) / 2, (1 + probability) / 2], axis=0).T
+
+    def interval_shortest(self, probability: float = 0.95) -> Array:
+        """Shortest coverage interval (k, 2); JCGM 101:2008, 7.7."""
+        ordered = np.sort(self.samples, axis=0)
+        inside = int(np.ceil(probability * len(ordered)))
+        widths = ordered[inside - 1:] - ordered[:len(ordered) - inside + 1]
+        begin = widths.argmin(axis=0)
+        columns = np.arange(ordered.shape[1])
+        return np.stack([ordered[begin, columns], ordered[begin + inside - 1, columns]], axis=1)
+
+
+class _Lanes:
+    """A system whose trials run side by side: every unknown has one set of instances for each trial."""
+
+    def __init__(self, system: System, weightings: Sequence[Weighting]):
+        self.system, self.weightings = system, weightings
+        self.size = len(system.layout.free_columns)
+
+    def inputs(self, term: Term, values: dict[Unknown, Array], trials: int) -> list[Any]:
+        """Input columns of a term for all trials, trial by trial."""
+        columns: list[Any] = []
+        for feed in term.feeds:
+            if feed.unknown is None:
+                data = np.broadcast_to(feed.data, (term.n, feed.data.shape[1])) if len(feed.data) > 1 else feed.data
+                columns += [c[0] if len(c) == 1 else np.tile(c, trials) for c in data.T]
+            else:
+                gathered = values[feed.unknown].reshape(trials, feed.unknown.count, -1)[:, feed.index]
+                columns += list(np.ascontiguousarray(gathered.reshape(trials * term.n, -1).T))
+        return columns
+
+    def rows(self, values: dict[Unknown, Array], readings: Sequence[Array], trials: int) -> tuple[Array, Array]:
+        """Whitened residuals (trials, N) and derivatives (trials, N, p)."""
+        residuals, matrices = [], []
+        for term, weighting, reading in zip(self.system.terms, self.weightings, readings, strict=True):
+            result = term.traced.program(term.any_free)(self.inputs(term, values, trials), trials * term.n)
+            predicted = result[:term.dim].reshape(term.dim, trials, term.n).transpose(1, 2, 0)
+            residual = reading - predicted
+            _unwrap(term, residual)
+            matrix = np.zeros((trials, term.n, term.dim, self.size))
+            begin = term.dim
+            for columns, source, want in zip(term.columns, term.traced.sources, term.any_free, strict=True):
+                if want:
+                    piece = result[begin:begin + term.dim * source.freedom].reshape(source.freedom, term.dim, trials, term.n)
+                    begin += term.dim * source.freedom
+                    _scatter(matrix, piece, self.system.layout.position[columns])
+            for mixing in weighting.whitening:
+                residuals.append(_mix(mixing, residual[..., None]).reshape(trials, -1))
+                matrices.append(_mix(mixing, matrix).reshape(trials, -1, self.size))
+        return np.concatenate(residuals, axis=1), np.concatenate(matrices, axis=1)
+
+    def conditions(self, values: dict[Unknown, Array], trials: int) -> tuple[Array, Array]:
+        """Excess (trials, m) and derivatives (trials, m, p) of the equality constraints."""
+        excess, matrices = [np.zeros((trials, 0))], [np.zeros((trials, 0, self.size))]
+        for term in self.system.conditions:
+            result = term.traced.program(term.any_free)(self.inputs(term, values, trials), trials * term.n)
+            value = result[:term.dim].reshape(term.dim, trials, term.n).transpose(1, 2, 0) - term.bound.lower
+            matrix = np.zeros((trials, term.n, term.dim, self.size))
+            begin = term.dim
+            for columns, source, want in zip(term.columns, term.traced.sources, term.any_free, strict=True):
+                if want:
+                    piece = result[begin:begin + term.dim * source.freedom].reshape(source.freedom, term.dim, trials, term.n)
+                    begin += term.dim * source.freedom
+                    _scatter(matrix, piece, self.system.layout.position[columns])
+            excess.append(value.reshape(trials, -1))
+            matrices.append(matrix.reshape(trials, -1, self.size))
+        return np.concatenate(excess, axis=1), np.concatenate(matrices, axis=1)
+
+    def solve(self, start: dict[Unknown, Array], readings: Sequence[Array], trials: int
+              ) -> tuple[dict[Unknown, Array], NDArray[np.bool_]]:
+        """Stored values (trials count, width) of all unknowns after Gauss-Newton, and which trials converged."""
+        layout = self.system.layout
+        values = {u: np.tile(v, (trials, 1)) for u, v in start.items()}
+        remaining = np.full(trials, np.inf)
+        for _ in range(STEPS):
+            residual, matrix = self.rows(values, readings, trials)
+            scale = np.sqrt(np.einsum("tni,tni->ti", matrix, matrix))
+            matrix /= np.where(scale > 0, scale, 1.0)[:, None, :]
+            excess, conditions = self.conditions(values, trials)
+            conditions = conditions / scale[:, None, :]
+            m = excess.shape[1]
+            saddle = np.zeros((trials, self.size + m, self.size + m))
+            saddle[:, :self.size, :self.size] = matrix.transpose(0, 2, 1) @ matrix
+            saddle[:, self.size:, :self.size] = conditions
+            saddle[:, :self.size, self.size:] = conditions.transpose(0, 2, 1)
+            right = np.concatenate([(matrix.transpose(0, 2, 1) @ residual[..., None])[..., 0], -excess], axis=1)
+            step = np.linalg.solve(saddle, right[..., None])[:, :self.size, 0]
+            previous, remaining = remaining, np.linalg.norm((matrix @ step[..., None])[..., 0], axis=1)
+            step /= scale
+            full = np.zeros((trials, layout.size))
+            full[:, layout.free_columns] = step
+            for unknown in layout.unknowns:
+                moved = full[:, layout.span(unknown)].reshape(trials * unknown.count, unknown.freedom)
+                values[unknown] = unknown.move(values[unknown], moved)
+            if np.all((remaining < 1e-8) | ((remaining < 1e-5) & (remaining > 0.3 * previous))):
+                break
+        return values, remaining < 1e-5
+
+    def functions(self, quantities: Sequence[Quantity], values: dict[Unknown, Array], trials: int) -> Array:
+        """Values (trials, k) of quantities."""
+        pieces = []
+        for quantity in quantities:
+            term = self.system.results.get(quantity) or self.system._plain(quantity)
+            nothing = (False,) * len(term.feeds)
+            result = term.traced.program(nothing)(self.inputs(term, values, trials), trials * term.n)
+            pieces.append(result.reshape(term.dim, trials, term.n).transpose(1, 2, 0).reshape(trials, -1))
+        return np.concatenate(pieces, axis=1)
+
+
+def _unwrap(term: Term, residual: Array) -> None:
+    period = term.bound.period
+    if period is not None:
+        for j, each in enumerate([period] * term.dim if np.ndim(period) == 0 else period):
+            if each is not None:
+                residual[..., j] -= each * np.rint(residual[..., j] / each)
+
+
+def _scatter(matrix: Array, piece: Array, places: NDArray[np.int64]) -> None:
+    """Add derivatives (f, dim, trials, n) into (trials, n, dim, p) at the places (n, f)."""
+    for f in range(len(piece)):
+        rows = np.flatnonzero(places[:, f] >= 0)
+        matrix[:, rows, :, places[rows, f]] += piece[f][:, :, rows].transpose(2, 1, 0)
+
+
+def _mix(mixing: Mixing, array: Array) -> Array:
+    """Apply row operations to (trials, n, dim, k): (trials, m, d, k)."""
+    if mixing.matrix.ndim == 2:
+        return mixing.matrix[None, :, :, None] * array[:, mixing.rows[:, 0]]
+    trials, _, dim, k = array.shape
+    source = array[:, mixing.rows].reshape(trials, len(mixing.rows), mixing.rows.shape[1] * dim, k)
+    return mixing.matrix[None] @ source
+
+
+def montecarlo(estimate: Estimate, trials: int, seed: int, quantities: Sequence[Quantity] | None = None) -> MonteCarlo:
+    """Propagate the stated distributions through the whole estimation.
+
+    estimate: taken as the truth; trials: how many re-estimates; seed: of the errors; quantities: results to sample (all of
+    the problem if not given). Readings and priors are drawn from the declared model; held unknowns with a prior are drawn
+    from it.
+    Raises CalibrationError where the problem has bounds or inequalities, which this check does not cover.
+    Source: JCGM 101:2008, 7.
+    """
+    system = System(estimate.problem)
+    chosen = tuple(quantities if quantities is not None else estimate.problem.quantities)
+    if not chosen:
+        raise CalibrationError(f"{estimate.problem.name} has no quantities; name the results that you want sampled.")
+    if any(not c.is_equality for c in estimate.problem.constraints):
+        raise CalibrationError(f"{estimate.problem.name} has inequality constraints, which the Monte Carlo check does not cover.")
+    truth = dict(estimate.values)
+    fit = linearise_system(system, truth)
+    weightings = [g.weighting for g in fit.groups]
+    lanes, generator = _Lanes(system, weightings), np.random.default_rng(seed)
+    batch = max(1, min(trials, LANE_NUMBERS // max(1, sum(g.residual.size for g in fit.groups) * max(lanes.size, 1))))
+    samples, failures = [], 0
+    for begin in range(0, trials, batch):
+        count = min(batch, trials - begin)
+        start, readings = _draw(fit, system, truth, generator, count)
+        values, good = lanes.solve(start, readings, count)
+        failures += int(np.sum(~good))
+        samples.append(lanes.functions(chosen, values, count)[good])
+    from calib.analyse.covariance import covariance
+    functions = [_as_functions(system, q, truth) for q in chosen]
+    linear = covariance(fit, *functions)
+    return MonteCarlo(linear.names, linear.units, np.concatenate(samples), failures, linear.values, linear.u)
+
+
+def _as_functions(system: System, quantity: Quantity, truth: dict[Unknown, Array]) -> Functions:
+    value, derivatives = system.result(quantity, truth)
+    return Functions(tuple(quantity.labels(value.shape[1])), quantity.units(value.shape[1]) * quantity.n, value.ravel(), derivatives)
+
+
+def _draw(fit, system: System, truth: dict[Unknown, Array], generator: np.random.Generator, count: int):  # type: ignore[no-untyped-def]
+    """Start values and readings (count, n, dim) of every group; the readings see held quantities drawn from their priors,
+    the estimation does not."""
+    lanes = _Lanes(system, [g.weighting for g in fit.groups])
+    seen = {u: np.tile(v, (count, 1)) for u, v in truth.items()}
+    from calib.analyse.covariance import considered
+    held = considered(fit)
+    if held.columns:
+        draws = generator.multivariate_normal(np.zeros(len(held.columns)), held.covariance, size=count, method="cholesky")
+        step = np.zeros((count, system.layout.size))
+        step[:, list(held.columns)] = draws
+        for unknown in system.layout.unknowns:
+            moved = step[:, system.layout.span(unknown)].reshape(count * unknown.count, unknown.freedom)
+            seen[unknown] = unknown.move(seen[unknown], moved)
+    readings = []
+    for term, group in zip(system.terms, fit.groups, strict=True):
+        assert isinstance(term.bound, Observations)
+        nothing = (False,) * len(term.feeds)
+        predicted = term.traced.program(nothing)(lanes.inputs(term, seen, count), count * term.n)
+        predicted = predicted.reshape(term.dim, count, term.n).transpose(1, 2, 0)
+        normal = generator.standard_normal((count, term.n, term.dim, 1))
+        errors = np.empty((count, term.n, term.dim))
+        for mixing in group.weighting.factors:
+            errors[:, mixing.rows] = _mix(mixing, normal).reshape(count, *mixing.rows.shape, term.dim)
+        if group.is_prior and not group.counted.all():
+            predicted = np.where(group.counted[:, None], predicted, group.predicted)
+        readings.append(predicted + errors)
+    return truth, readings
