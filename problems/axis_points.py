@@ -1,0 +1,227 @@
+"""Points of a turning axis by theodolite: a target near the axis runs on a circle, whose centre is what is wanted.
+
+A target at distance L (elevation e) sits off the axis by a vector of length r and phase phi, kept as a = r cos(phi),
+b = r sin(phi). With the axis turned to alpha the line of sight to it is (Ren, Gao, Zhao 2015, eq 4-6)
+
+    horizontal angle = centre.H + (a cos alpha - b sin alpha)/(L cos e)
+    vertical angle   = centre.V + (a sin alpha + b cos alpha)/L
+
+Both circles see the same r and phi; whether the readings bear that out is tested by `sharing` before it is believed.
+A filament has no height to point at and is seen in the horizontal circle only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from casadi import atan2, cos, sin, sqrt, vertcat
+from numpy.typing import ArrayLike
+
+from calib import Effect, Observations, Parameter, Problem, Quantity, Unknown, direct, hands_slots_to, prior
+from calib.errors import InputError
+from calib.units import arcsec, um
+from instruments import theodolite
+
+PAPER = "Ren, Gao, Zhao (2015), J. Harbin Inst. Tech. 47(10), eq (4)-(7)"
+RUNOUT = "ISO 230-7:2015, radial error motion of an axis of rotation"
+
+
+def across(eccentricity: Any, angle: Any) -> Any:
+    """Sideways departure a cos(angle) - b sin(angle) of a target on its circle, in the unit of the eccentricity (a,
+    b).
+    """
+    return eccentricity[0] * cos(angle) - eccentricity[1] * sin(angle)
+
+
+def upward(eccentricity: Any, angle: Any) -> Any:
+    """Upward departure a sin(angle) + b cos(angle) of a target on its circle, in the unit of the eccentricity (a,
+    b).
+    """
+    return eccentricity[0] * sin(angle) + eccentricity[1] * cos(angle)
+
+
+def one_circle(centre: Any, eccentricity: Any, angle: Any) -> Any:
+    """Reading of the horizontal circle on a target or filament, with the eccentricity as the circle sees it (eq 6).
+
+    centre: reading on the axis [rad]; eccentricity: (2,) a/L, b/L [rad]; angle: of the axis [rad]. Returns the
+    reading [rad].
+    """
+    return centre + across(eccentricity, angle)
+
+
+def both_circles(
+    centre: Any,
+    eccentricity_h: Any,
+    eccentricity_v: Any,
+    distance: Any,
+    elevation: Any,
+    angle: Any,
+    face: Any,
+    *,
+    offset: Any = direct,
+    **slots: Any,
+) -> Any:
+    """Readings of both circles on a target of a turning axis (eq 4, 5), for any elevation and either face.
+
+    centre: (2,) line of sight to the axis point, as horizontal angle and zenith angle of the circles [rad];
+    eccentricity_h, eccentricity_v: (2,) a, b as the horizontal and the vertical circle see them, one and the same
+    unless sharing is refused [m]; distance, elevation of the target [m, rad]; angle: of the axis [rad]; face: +1 or
+    -1. Slots: `offset` ((2,) sideways and upward departure [m], may ask for angle) and those of
+    `theodolite.face_readings`. Returns H, V [rad].
+    """
+    departure = offset(vertcat(across(eccentricity_h, angle), upward(eccentricity_v, angle)), angle=angle)
+    return theodolite.face_readings(
+        centre[0] + departure[0] / (distance * cos(elevation)),
+        centre[1] + departure[1] / distance,
+        elevation,
+        face,
+        **slots,
+    )
+
+
+both_circles = hands_slots_to(theodolite.face_readings)(both_circles)
+
+
+def face_one(readings: ArrayLike, face: ArrayLike) -> np.ndarray:
+    """Raw readings of two faces as angles of the line of sight, to start from.
+
+    readings: (n, 2) H, V [rad]; face: (n,) +1 or -1. Returns (n, 2): H less half a turn and 2 pi - V on face 2 [rad].
+    """
+    readings, second = np.asarray(readings, float), np.asarray(face) < 0
+    return np.where(second[:, None], readings * [1, -1] + [-np.pi, 2 * np.pi], readings)
+
+
+def start(readings: ArrayLike, face: ArrayLike, index: np.ndarray, count: int) -> np.ndarray:
+    """Mean line of sight to each target.
+
+    readings: (n, 2) raw H, V [rad]; face: (n,); index: (n,) number of the target of each row; count: of targets.
+    Returns (count, 2) [rad], the means taken round the circle.
+    """
+    seen = np.exp(1j * face_one(readings, face))
+    sums = np.array([seen[index == i].sum(axis=0) for i in range(count)])
+    return np.angle(sums) % (2 * np.pi)
+
+
+def declare(
+    readings: ArrayLike | None,
+    target: Sequence[object],
+    angle: ArrayLike,
+    *,
+    distance: Mapping[str, float],
+    u: Sequence[float] = (1 * arcsec, 1 * arcsec),
+    elevation: Mapping[str, float] | None = None,
+    face: ArrayLike | None = None,
+    shared: Collection[str] | None = None,
+    u_distance: float = 0.0,
+    covariates: Mapping[str, Any] | None = None,
+    rows: ArrayLike | None = None,
+    candidates: Sequence[Effect] = (),
+) -> Problem:
+    """The problem of the axis points seen from one theodolite.
+
+    readings: (n, 2) raw H, V [rad], None for planning; target: (n,) ids; angle: (n,) of the axis [rad]; distance,
+    elevation: of each target [m, rad]; u: of one H and one V reading [rad]; face: (n,) +1 or -1; shared: targets
+    whose circles share r and phase (None: all); u_distance: of the distances, zero where they are exact [m];
+    covariates, rows: as for Observations; candidates: effects. Returns the problem with r and phase of every target
+    as quantities, and the difference of (a, b) between the circles of the targets that do not share them.
+    Raises InputError for a target without a distance.
+    """
+    ids = list(dict.fromkeys(str(t) for t in target))
+    missing = [t for t in ids if t not in distance]
+    if missing:
+        raise InputError(
+            f"target '{missing[0]}' has readings but no distance; distances are given for "
+            f"{', '.join(distance) or 'none'}. Measure it (some millimetres suffice) and add it."
+        )
+    apart = [t for t in ids if shared is not None and t not in shared]
+    index = np.array([ids.index(str(t)) for t in target])
+    faces = np.ones(len(index)) if face is None else np.asarray(face, float)
+    first = np.tile([np.pi, np.pi / 2], (len(ids), 1)) if readings is None else start(readings, faces, index, len(ids))
+    centre = Unknown("centre", first, "deg", parts=("H", "V"), keys=ids)
+    eccentricity = Unknown(
+        "eccentricity",
+        np.zeros((len(ids) + len(apart), 2)),
+        "mm",
+        parts=("a", "b"),
+        keys=ids + [f"{t} in V" for t in apart],
+    )
+    in_v = np.array([len(ids) + apart.index(t) if t in apart else i for i, t in enumerate(ids)])
+    known = np.array([distance[t] for t in ids])
+    length = Unknown("distance", known[:, None], "mm", keys=ids)
+    observations = [
+        Observations(
+            both_circles,
+            centre[index],
+            eccentricity[index],
+            eccentricity[in_v[index]],
+            length[index] if u_distance else known[index],
+            np.array([(elevation or {}).get(t, 0.0) for t in ids])[index],
+            np.asarray(angle, float),
+            faces,
+            readings=readings,
+            u=u,
+            group="circles",
+            unit="arcsec",
+            components=("H", "V"),
+            period=theodolite.PERIOD,
+            covariates={**(covariates or {}), "target": np.array(target, dtype=str)},
+            rows=rows,
+        )
+    ]
+    if u_distance:
+        observations.append(prior(length, known[:, None], u_distance, name="distances"))
+    quantities = [
+        Quantity(
+            "circle",
+            radius_and_phase,
+            eccentricity.each,
+            unit=("mm", "deg"),
+            parts=("r", "phase"),
+            keys=eccentricity.keys,
+        )
+    ]
+    if apart:
+        rows_apart = np.array([ids.index(t) for t in apart])
+        quantities.append(
+            Quantity(
+                "circle difference",
+                difference,
+                eccentricity[rows_apart],
+                eccentricity[in_v[rows_apart]],
+                unit="mm",
+                parts=("a", "b"),
+                keys=apart,
+            )
+        )
+    return Problem(observations, quantities=quantities, effects=candidates, name="axis points")
+
+
+def radius_and_phase(eccentricity: Any) -> Any:
+    """Length r [unit of a] and phase [rad] of an eccentricity (a, b)."""
+    return vertcat(sqrt(eccentricity[0] ** 2 + eccentricity[1] ** 2), atan2(eccentricity[1], eccentricity[0]))
+
+
+def difference(seen_by_horizontal: Any, seen_by_vertical: Any) -> Any:
+    """Difference (2,) of the eccentricities that two circles see."""
+    return seen_by_horizontal - seen_by_vertical
+
+
+def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
+    """What may be missing: the effects of the theodolite, and a motion of the axis twice per turn.
+
+    blocks: set-ups at which a step may have happened. Returns the effects; the axis motion has parameters for every
+    target.
+    """
+    motion = Effect(
+        "radial_runout_2x",
+        "offset",
+        lambda offset, p, angle: vertcat(
+            p.hc * cos(2 * angle) + p.hs * sin(2 * angle), p.vc * cos(2 * angle) + p.vs * sin(2 * angle)
+        ),
+        tuple(Parameter(name, "um", (0.5 * um, 200 * um)) for name in ("hc", "hs", "vc", "vs")),
+        per="target",
+        source=RUNOUT,
+    )
+    return (*theodolite.effects(blocks), motion)
