@@ -151,7 +151,7 @@ class Item:
             why = "rounding of the printed intermediate results"
         if not why and judged != AGREES:
             raise DeclarationError(f"item '{key}' is '{judged}' without a reason; say in `why` what is missing or "
-                                   f"where the difference comes from (value {value}, printed {printed and printed.text})")
+                                   f"where it differs (value {value}, printed {printed and printed.text})")
         if printed_text is None and printed is not None and printed.number is None:
             printed_text = printed.text
         if sampling is not None:
