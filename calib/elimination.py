@@ -273,8 +273,8 @@ class EliminatedFactor:
 
     def between(self, first: Index, second: Index) -> Array:
         """Covariances (m, f, g) of free columns first (m, f) with second (m, g); -1 stands for a held column."""
-        a_inner, b_inner = self._is_inner[first[0, 0]], self._is_inner[second[0, 0]]
-        a, b = self._slot[first], self._slot[second]
+        a_inner, b_inner = self._is_inner[first[first >= 0][0]], self._is_inner[second[second >= 0][0]]
+        a, b = np.where(first >= 0, self._slot[first], 0), np.where(second >= 0, self._slot[second], 0)
         if not a_inner and not b_inner:
             block = self._outer_covariance[a[:, :, None], b[:, None, :]]
         elif a_inner and not b_inner:

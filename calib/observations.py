@@ -14,6 +14,7 @@ from calib import geometry
 from calib.blocks import Array
 from calib.effect import positional_of, slots_of
 from calib.errors import DeclarationError
+from calib.frozen import Frozen
 from calib.uncertainty import Gaussian
 from calib.unknown import Selection, Unknown
 
@@ -43,7 +44,7 @@ def _data(name: str, values: Array, shape: tuple[int, ...]) -> Argument:
     return Argument(name, data=np.ascontiguousarray(stack.reshape(len(values), -1)), shape=shape)
 
 
-class BoundModel:
+class BoundModel(Frozen):
     """A model whose positional arguments are bound to unknowns and data, for n rows."""
 
     what = "model"
@@ -169,16 +170,20 @@ class Observations(BoundModel):
 
     def with_readings(self, readings: ArrayLike | None, u: Gaussian | None = None) -> Observations:
         """The same observations with other readings (n,) or (n, dim) in SI, and another uncertainty where given."""
-        copy = object.__new__(Observations)
-        copy.__dict__.update(self.__dict__)
-        if readings is not None:
-            readings = np.array(readings, dtype=float).reshape(self.n, -1)
-        copy.readings = readings
-        copy.uncertainty = u or self.uncertainty
+        copy = object.__new__(type(self))
+        values = None if readings is None else np.array(readings, dtype=float).reshape(self.n, -1)
+        copy.__dict__.update(self.__dict__, readings=values, uncertainty=u or self.uncertainty)
         return copy
 
 
-def prior(of: Unknown | Selection, value: Any, u: ArrayLike | Gaussian, name: str | None = None) -> Observations:
+class Prior(Observations):
+    """Observations of unknowns themselves; made by `prior`."""
+
+    what = "prior"
+    is_prior = True
+
+
+def prior(of: Unknown | Selection, value: Any, u: ArrayLike | Gaussian, name: str | None = None) -> Prior:
     """Type B knowledge of an unknown, as an observation of it.
 
     of: an unknown, instances or parts of it; value: in the declared shape of what is selected, SI (a rotation matrix,
@@ -202,21 +207,14 @@ def prior(of: Unknown | Selection, value: Any, u: ArrayLike | Gaussian, name: st
                                    ) from None
         def itself(quantity: Any) -> Any:
             return quantity[list(parts)]
-        return _as_prior(Observations(itself, unknown[index], readings=readings, u=u, group=group, unit=units,
-                                      components=names))
+        return Prior(itself, unknown[index], readings=readings, u=u, group=group, unit=units, components=names)
     stored = unknown.store(value) if len(index) == unknown.count else np.concatenate(
         [unknown.store(value)[:1]] * len(index))
     zero = np.zeros((len(index), len(parts)))
 
     def departure(quantity: Any, nominal: Any) -> Any:
         return ca.vertcat(*[_departure(unknown, quantity, nominal)[p] for p in parts])
-    return _as_prior(Observations(departure, unknown[index], stored, readings=zero, u=u, group=group, unit=units,
-                                  components=names))
-
-
-def _as_prior(observations: Observations) -> Observations:
-    observations.is_prior = True
-    return observations
+    return Prior(departure, unknown[index], stored, readings=zero, u=u, group=group, unit=units, components=names)
 
 
 def _departure(unknown: Unknown, quantity: Any, nominal: Any) -> list[Any]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.effect import Effect
 from calib.errors import DeclarationError
+from calib.frozen import Frozen
 from calib.observations import Constraint, Observations, Quantity
 from calib.trace import offered
 from calib.unknown import Selection, Unknown
@@ -56,12 +57,12 @@ def _attach(effect: Effect, observations: Sequence[Observations]) -> Attached:
             keys.update(dict.fromkeys(str(k) for k in o.covariates[effect.per]))
     names = [p.name for p in effect.parameters]
     unknown = Unknown(effect.label, np.zeros((max(len(keys), 1), len(names))), parts=names, keys=tuple(keys) or None,
-                      lower=[p.lower for p in effect.parameters], upper=[p.upper for p in effect.parameters])
-    unknown.units = tuple(p.unit for p in effect.parameters)
+                      unit=[p.unit for p in effect.parameters], lower=[p.lower for p in effect.parameters],
+                      upper=[p.upper for p in effect.parameters])
     return Attached(effect, unknown, tuple(keys), tuple(o.group for o in places))
 
 
-class Problem:
+class Problem(Frozen):
     """One declared estimation problem; `free`, `hold` and the `with_` methods return a new one.
 
     observations: with priors among them; constraints; quantities: derived results to report; effects: attached, zero
@@ -142,8 +143,7 @@ class Problem:
 
     def _with(self, **changes: Any) -> Problem:
         copy = object.__new__(Problem)
-        copy.__dict__.update(self.__dict__)
-        copy.__dict__.update(changes)
+        copy.__dict__.update(self.__dict__, **changes)
         copy._check_names()
         return copy
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib import geometry
 from calib.errors import DeclarationError
+from calib.frozen import Frozen
 
 Array = NDArray[np.float64]
 
@@ -37,26 +38,26 @@ class Selection:
         return chosen
 
 
-class Unknown:
+class Unknown(Frozen):
     """A named block of unknown quantities with start values, one display unit, bounds and part names.
 
     name: how messages and files call it.
     start: number, (dim,) for one instance, or (count, dim) for several; SI.
-    unit: display unit of all parts; parts: names of the dim parts; keys: names of the instances.
+    unit: display unit, one or one for each part; parts: names of the dim parts; keys: names of the instances.
     lower, upper: bounds in SI, broadcast to (count, dim).
     Raises DeclarationError where names and sizes do not agree or a start value is not finite.
     """
 
     kind = "vector"
 
-    def __init__(self, name: str, start: ArrayLike = 0.0, unit: str = "1", parts: Sequence[str] | None = None,
-                 keys: Sequence[object] | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf):
+    def __init__(self, name: str, start: ArrayLike = 0.0, unit: str | Sequence[str] = "1",
+                 parts: Sequence[str] | None = None, keys: Sequence[object] | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf):
         values = np.array(start, dtype=float)
         if values.ndim > 2:
             raise DeclarationError(f"Unknown '{name}': the start value has {values.ndim} dimensions; give a number, "
                                    "(dim,) for one instance or (count, dim) for several.")
         self._declare(name, np.atleast_2d(values), values.shape, keys,
-                      [unit] * (values.shape[-1] if values.ndim else 1), parts)
+                      [unit] * (values.shape[-1] if values.ndim else 1) if isinstance(unit, str) else list(unit), parts)
         self.lower = np.broadcast_to(np.asarray(lower, float), self.ambient.shape)
         self.upper = np.broadcast_to(np.asarray(upper, float), self.ambient.shape)
         if np.any(self.lower > self.upper):
@@ -75,6 +76,9 @@ class Unknown:
         self.named_keys = keys is not None
         self.lower = np.full((self.count, self.freedom), -np.inf)
         self.upper = np.full((self.count, self.freedom), np.inf)
+        if self.kind == "vector" and self.freedom != self.width:
+            raise DeclarationError(f"Unknown '{name}' has {self.width} parts but {self.freedom} units; give one unit for "
+                                   "all parts or one for each.")
         if len(self.parts) != self.freedom:
             raise DeclarationError(f"Unknown '{name}' has {self.freedom} parts but {len(self.parts)} part names "
                                    f"{self.parts}; name each part once.")
