@@ -164,24 +164,24 @@ class _Program:
         layout = self.system.layout
         blocks = self.system.blocks(values, self._weightings)
         scale = _conditional_uncertainty(blocks, layout)
-        bounds = [room[layout.free_columns] / scale for room in layout.bounds(values)]
+        lower, upper = (room[layout.free_columns] / scale for room in layout.bounds(values))
         low, high, unit = self._limits(values, scale)
         readings = []
         for term in self.system.terms:
             predicted = term.predict(values)
             readings.append((predicted + self.system.residual(term, predicted)).ravel())
         stored = [r.stored(values).ravel(order="F") for r in (*self.transcription.rows, *self.transcription.conditions)]
-        lbx, ubx = _pinned(*bounds, active.bounds)
+        lbx, ubx = _pinned(lower, upper, active.bounds)
         lbg, ubg = _pinned(low, high, active.conditions)
         found = solver(x0=np.clip(np.zeros(len(scale)), lbx, ubx), p=np.concatenate([scale, unit, *readings, *stored]),
                        lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg)
         x, pull, push, value = (np.array(found[k]).ravel() for k in ("x", "lam_x", "lam_g", "g"))
         statistics = solver.stats()
         step = np.zeros(layout.size)
-        step[layout.free_columns] = np.clip(x, *bounds) * scale
+        step[layout.free_columns] = np.clip(x, lower, upper) * scale
         finite = bool(np.all(np.isfinite(x)))
         turns = [float(np.abs(step[layout.span(u)]).max()) for u in layout.unknowns if u.kind != "vector"]
-        touched = _Active(_touched(x, *bounds, pull), _touched(value, low, high, push))
+        touched = _Active(_touched(x, lower, upper, pull), _touched(value, low, high, push))
         return _Run(layout.move(values, step) if finite else dict(values), touched, _size(blocks, step),
                     max(turns, default=0.0), int(statistics["iter_count"]), str(statistics["return_status"]), finite)
 

@@ -61,7 +61,7 @@ class MappedRows:
         return _assembled(entries, rows, columns, (self._size, self._size))
 
 
-def _assembled(entries: ca.MX, rows: Array, columns: Array, shape: tuple[int, int]) -> ca.MX:
+def _assembled(entries: ca.MX, rows: Index, columns: Index, shape: tuple[int, int]) -> ca.MX:
     """A sparse matrix from entries at rows and columns; several at one place add up, those at -1 are left out."""
     rows, columns = rows.ravel(), columns.ravel()
     kept = np.flatnonzero((rows >= 0) & (columns >= 0))
