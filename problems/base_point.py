@@ -1,0 +1,343 @@
+"""Base point of a tracking interferometer from readings along lines ("multilateration").
+
+A tracking interferometer at an unknown base point B follows a reflector to target points P and reads how much longer,
+or shorter, the path has become since it was zeroed: reading = sense (|P - B| - L0). The reflector is moved along lines
+and its coordinate there is read by a fixed interferometer. Unknown are B (3) and the length L0 at the zero.
+Source: Chen, Li, Zhang, Zhao, J. Astronautic Metrology and Measurement 27(2), 2007, 9-13 ("the paper"), equations 1
+and 6 with their signs mended (docs/slips/base_point.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from casadi import sqrt
+from numpy.typing import ArrayLike, NDArray
+
+from calib import (
+    Constraint,
+    Effect,
+    Gaussian,
+    Observations,
+    Problem,
+    Quantity,
+    Shared,
+    Unknown,
+    direct,
+    hands_slots_to,
+    simulate,
+)
+from calib.errors import InputError
+from calib.geometry import norm
+from calib.job import Job
+from calib.units import mm, nm, um
+from instruments import coordinate_machine, interferometer
+from problems import algebraic_base_point, base_point_lines
+from problems.base_point_lines import Lines
+
+Array = NDArray[np.float64]
+LENGTHENING, SHORTENING = 1.0, -1.0                    # the counting sense: what makes the reading grow
+COUNTS = {"lengthening": LENGTHENING, "shortening": SHORTENING}
+accepts = ("base_point", "base-point", "basepoint_multilateration")
+
+
+# --- the physics -------------------------------------------------------------------------------------------------
+
+
+@hands_slots_to(coordinate_machine.position, interferometer.tracking)
+def tracked(base_point: Any, start_length: Any, position: Any, guide: Any, along: Any, velocity: Any, sense: Any, *,
+            machine_point: Any = direct, **slots: Any) -> Any:
+    """Reading [m] of a tracking interferometer on a reflector at a position [m] of a line.
+
+    base_point: (3,); start_length: path at the zero of the reading; guide: the point (3,) of the line at position zero;
+    along: unit direction (3,) of the line; velocity: (3,) [m/s] of the reflector, which late triggering asks for.
+    sense: +1 or -1. Source: the paper, equation 6.
+    """
+    target = coordinate_machine.position(guide + along * position, machine_point=machine_point)
+    return interferometer.tracking_in_motion(target, velocity, base_point, start_length, sense, **slots)
+
+
+def one_line(start_length: Any, cos_angle: Any, travel: Any, sense: Any, *, displacement: Any = direct) -> Any:
+    """Reading [m] after a travel b [m] along one line from the zero: the cosine theorem.
+
+    cos_angle: cosine of the angle between the beam from the base point to the zero and the direction of travel.
+    Source: the paper, equation 1.
+    """
+    path = sqrt(start_length**2 + travel**2 + 2 * start_length * travel * cos_angle)
+    return displacement(sense * (path - start_length))
+
+
+def coordinate(position: Any) -> Any:
+    """What the fixed interferometer along a line reads: the position [m] of the reflector."""
+    return position
+
+
+def excess_at_zero(base_point: Any, start_length: Any, zero_point: Any) -> Any:
+    """How much longer [m] the path to the zero point (3,) is than the path at the zero of the reading."""
+    return norm(zero_point - base_point) - start_length
+
+
+def reading_at(base_point: Any, start_length: Any, zero_point: Any, sense: Any) -> Any:
+    """Reading [m] that the tracker would show with the reflector at a point (3,)."""
+    return sense * excess_at_zero(base_point, start_length, zero_point)
+
+
+def beside_the_line(start_length: Any, cos_angle: Any) -> Any:
+    """The base point from equation 1: its foot on the line, counted from the zero, and its distance off it (2,) [m]."""
+    return [-start_length * cos_angle, start_length * sqrt(1 - cos_angle**2)]
+
+
+# --- the choices of an evaluation -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FreeStart:
+    """The path at the zero of each reading is unknown.
+
+    zero_point: (3,) [m] where the reading should have been zero; the quantity `start_reading` is what it is there.
+    """
+
+    zero_point: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class TiedStart:
+    """The trackers were zeroed with the reflector at a known point (3,) [m]: L0 = |zero_point - B|, as in the paper."""
+
+    zero_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class AbsoluteRange:
+    """The readings are whole lengths: L0 = 0."""
+
+
+@dataclass(frozen=True)
+class ExactCoordinates:
+    """The recorded coordinates are taken as exact, as in the paper."""
+
+
+@dataclass(frozen=True)
+class ProjectedCoordinates:
+    """The u of a coordinate along its line, projected on the line of sight, is added to the u of the tracker."""
+
+
+@dataclass(frozen=True)
+class AdjustedCoordinates:
+    """A coordinate along its line is a reading of its own, with its own u: errors in variables."""
+
+
+Zero = FreeStart | TiedStart | AbsoluteRange
+Coordinates = ExactCoordinates | ProjectedCoordinates | AdjustedCoordinates
+
+
+# --- the declaration ------------------------------------------------------------------------------------------------
+
+
+def declare(lines: Lines, zero: Zero = FreeStart(), coordinates: Coordinates = ExactCoordinates(),
+            sense: float = LENGTHENING, begin: ArrayLike | None = None) -> Problem:
+    """Base points of trackers from readings along lines.
+
+    lines: what was read; zero: what is known of it; coordinates: how those along the lines enter.
+    sense: LENGTHENING or SHORTENING; begin: (3,) or (trackers, 3) [m] start values of the base points, which also pick
+    the branch where there is a mirror image; the algebraic start where None.
+    Raises InputError where the targets stand at one point or the readings contradict the sense.
+    """
+    trackers, tracker = np.unique(lines.tracker, return_inverse=True)
+    names = np.char.strip(np.char.add(np.char.add(lines.tracker.astype(str), " "), lines.zeroing.astype(str)))
+    zeroings, zeroing = np.unique(names, return_inverse=True)
+    base, lengths = start(lines, tracker, zeroing, sense, begin, isinstance(zero, AbsoluteRange))
+    several = len(trackers) > 1
+    base_point = Unknown("base_point", base if several else base[0], "mm", ("x", "y", "z"),
+                         trackers if several else None)
+    start_length = Unknown("start_length", lengths[:, None] if len(zeroings) > 1 else lengths[0], "mm",
+                           keys=zeroings if len(zeroings) > 1 else None)
+
+    read = np.einsum("ni,ni->n", lines.along, lines.points)
+    guide = lines.points - lines.along * read[:, None]
+    observations, adjusted, seat = [], None, np.arange(len(read))
+    if isinstance(coordinates, AdjustedCoordinates):
+        seatings, first, seat = np.unique(lines.seating, return_index=True, return_inverse=True)
+        adjusted = Unknown("position", read[first][:, None], "mm", keys=seatings)
+        observations.append(Observations(coordinate, adjusted.each, readings=read[first], u=lines.u_coordinate[first],
+                                         group="coordinates", unit="mm", rows=lines.rows[first]))
+    for k, name in enumerate(zeroings):
+        i = np.flatnonzero(zeroing == k)
+        observations.append(Observations(
+            tracked, base_point[tracker[i]], start_length[k], read[i] if adjusted is None else adjusted[seat[i]],
+            guide[i], lines.along[i], lines.velocity[i], np.full(len(i), sense), u=_uncertainty(lines, coordinates, i),
+            readings=None if lines.readings is None else lines.readings[i], group=str(name), unit="mm",
+            rows=lines.rows[i], covariates=lines.covariates_of(i)))
+    of_zeroing = base_point[np.array([tracker[zeroing == k][0] for k in range(len(zeroings))])]
+    keys = zeroings if len(zeroings) > 1 else None
+    quantities = [Quantity("dead_path", coordinate, start_length.each, unit="mm", keys=keys)]
+    constraints, held = [], ()
+    if isinstance(zero, TiedStart):
+        constraints.append(Constraint("zeroed at the zero point", excess_at_zero, of_zeroing, start_length.each,
+                                      Shared(zero.zero_point), tolerance=1e-3 * nm, unit="um"))
+    elif isinstance(zero, AbsoluteRange):
+        held = (start_length,)
+    elif zero.zero_point is not None:
+        quantities.append(Quantity("start_reading", reading_at, of_zeroing, start_length.each, Shared(zero.zero_point),
+                                   Shared(sense), unit="um", keys=keys))
+    return Problem(observations, constraints, quantities, held=held, name="base point")
+
+
+def _uncertainty(lines: Lines, coordinates: Coordinates, rows: NDArray) -> Any:
+    """Standard uncertainty of the readings (n,) in some rows, with that of the coordinates where it is projected."""
+    u, u_coordinate = lines.u[rows], lines.u_coordinate[rows]
+    if not isinstance(coordinates, ProjectedCoordinates):
+        return u
+
+    def projected(base_point: Array, position: Array, guide: Array, along: Array) -> Array:
+        sight = guide + along * position - base_point
+        slope = np.sum(sight * along, axis=1) / np.linalg.norm(sight, axis=1)
+        return np.hypot(u, slope * u_coordinate)[:, None]
+    return Gaussian.depending(projected)
+
+
+def start(lines: Lines, tracker: NDArray, zeroing: NDArray, sense: float, begin: ArrayLike | None = None,
+          absolute: bool = False) -> tuple[Array, Array]:
+    """Start values: base points (trackers, 3) and start lengths (zeroings,) [m].
+
+    lines: what was read; tracker, zeroing: (n,) numbers from 0; sense: +1 or -1; begin: base points if known;
+    absolute: the readings are whole lengths. Raises InputError where the readings contradict the sense.
+    """
+    bases, lengths = np.zeros((tracker.max() + 1, 3)), np.zeros(zeroing.max() + 1)
+    known = None if begin is None else np.broadcast_to(begin, bases.shape)
+    if lines.readings is None:
+        if known is None:
+            raise InputError("a plan without readings needs approximate base points (begin); state them")
+        target = np.linalg.norm(lines.points - known[tracker], axis=1)
+        return np.array(known), np.array([0.0 if absolute else target[zeroing == k][0] for k in range(len(lengths))])
+    for t in range(len(bases)):
+        i = np.flatnonzero(tracker == t)
+        own, number = np.unique(zeroing[i], return_inverse=True)
+        found = algebraic_base_point.begin(lines.points[i], lines.readings[i], number, sense, absolute=absolute,
+                                           approximate=None if known is None else known[t],
+                                           name=str(lines.tracker[i][0]))
+        bases[t], lengths[own] = found.base_point, found.lengths
+    return bases, lengths
+
+
+def declare_one_line(travel: ArrayLike, readings: ArrayLike | None, u: ArrayLike, sense: float = LENGTHENING,
+                     begin: ArrayLike = (1.0, 0.5)) -> Problem:
+    """One line by equation 1: path at the zero and angle there; quantity `beside` is the base point as (foot, off) [m].
+
+    travel: (n,) [m] from the zero, where both instruments read zero; readings: (n,) [m] or None; u: [m].
+    sense: +1 or -1; begin: approximate (foot, off) [m]. In which direction it lies off the line is not seen.
+    """
+    foot, off = np.asarray(begin, float)
+    start_length = Unknown("start_length", np.hypot(foot, off), "mm", lower=0.0)
+    cos_angle = Unknown("cos_angle", -foot / np.hypot(foot, off), lower=-1.0, upper=1.0)
+    read = Observations(one_line, start_length, cos_angle, np.asarray(travel, float), Shared(sense), readings=readings,
+                        u=u, group="tracker", unit="mm")
+    return Problem([read], quantities=[Quantity("beside", beside_the_line, start_length, cos_angle, unit="mm",
+                                                parts=("foot", "off"))], name="base point beside one line")
+
+
+# --- effects, jobs and an example -------------------------------------------------------------------------------------
+
+
+def effects(blocks: Sequence[int] = (), middle: ArrayLike = (0.0, 0.0, 0.0), half_range: ArrayLike = (0.5, 0.5, 0.5),
+            wavelength: float = interferometer.HELIUM_NEON) -> tuple[Effect, ...]:
+    """Effects of the guides that move the reflector and of the tracking interferometer.
+
+    blocks: at whose beginning the reading may have jumped; middle, half_range: (3,) [m] of the travel, for
+    straightness; wavelength: [m] of the tracking interferometer, for the cyclic error.
+    """
+    guides = (e for e in coordinate_machine.guide_effects(middle=middle, half_range=half_range)
+              if e.name != "zero_offset")                          # a shift of all points is a shift of the base point
+    tracker = (e for e in (*interferometer.effects(blocks, wavelength), *interferometer.tracking_effects())
+               if e.name in ("scale", "cyclic", "drift", "thermal", "step", "time_sync") and e.channel.startswith("d"))
+    return (*guides, *coordinate_machine.cosine_effects(), *tracker)
+
+
+def with_recorded_effects(problem: Problem, lines: Lines, middle: ArrayLike, half_range: ArrayLike,
+                          wavelength: float = interferometer.HELIUM_NEON) -> Problem:
+    """The problem with every effect whose inputs were recorded, all held at zero; arguments as for `effects`."""
+    blocks = np.unique(lines.covariates["block"])[1:] if "block" in lines.covariates else ()
+    recorded = {*lines.covariates, "velocity", "line"}
+    return problem.with_effects(*(e for e in effects(blocks, middle, half_range, wavelength)
+                                  if recorded.issuperset(e.inputs)))
+
+
+def from_job(job: Job) -> Problem:
+    """The problem of a job with the table `lines`, or of a case folder of the scenario `basepoint_multilateration`.
+
+    Instrument of the table: kind tracking_interferometer, u, counts ("lengthening" or "shortening"). Options:
+    start_reading ("free", "tied", "absolute"), start_point (3,), base_point (3,) where it is about known, coordinates
+    ("exact", "projected", "adjusted"), line_instrument (the name of the instrument that read the coordinates).
+    Raises InputError naming file, line, key or column.
+    """
+    if "lines" in job.known:
+        lines, known = base_point_lines.of_case(job), job.known
+        limits = np.array([known.table("axis_range_mm").numbers(axis) for axis in base_point_lines.AXES]) * mm
+        about = known.quantity("base_point_approx", "length")
+        problem = declare(lines, FreeStart(), ProjectedCoordinates(), begin=about)
+        wavelength = known.quantity("wavelength", "length")
+        return with_recorded_effects(problem, lines, limits.mean(axis=1), np.ptp(limits, axis=1) / 2, wavelength)
+    lines, tracker, options = base_point_lines.of_job(job), job.instrument("lines"), job.options
+    tracker.text("kind", "tracking_interferometer", ("tracking_interferometer",))
+    sense = COUNTS[tracker.text("counts", among=tuple(COUNTS))]
+    zero_point = tuple(options.quantity("start_point", "length", (0.0, 0.0, 0.0)))
+    zeros = {"free": FreeStart(zero_point), "tied": TiedStart(zero_point), "absolute": AbsoluteRange()}
+    choices = {"exact": ExactCoordinates(), "projected": ProjectedCoordinates(), "adjusted": AdjustedCoordinates()}
+    choice = options.text("coordinates", "exact", tuple(choices))
+    if choice != "exact" and not np.all(lines.u_coordinate > 0):
+        raise InputError(f"{options.where('coordinates')}: '{choice}' needs the uncertainty of the coordinates; name "
+                         "the instrument that read them in options.line_instrument, with its u, and add column line")
+    problem = declare(lines, zeros[options.text("start_reading", "free", tuple(zeros))], choices[choice], sense,
+                      options.quantity("base_point", "length", None))
+    middle, half = (lines.points.max(axis=0) + lines.points.min(axis=0)) / 2, np.ptp(lines.points, axis=0) / 2
+    return with_recorded_effects(problem, lines, middle, np.where(half > 0, half, 1.0))
+
+
+def remarks(job: Job) -> tuple[str, ...]:
+    """What no reading of a job can show of the base points, in words; empty where all is seen."""
+    return algebraic_base_point.unseen(base_point_lines.coordinates(next(iter(job.tables.values()))))
+
+
+def example(seed: int) -> Problem:
+    """One tracker on three lines of a machine, with simulated readings and all effects held; seed: of the noise."""
+    run, zero, far = np.linspace(0.0, 0.8, 9), np.zeros(9), np.full(9, 0.8)
+    there = np.vstack([np.column_stack(line) for line in ((run, zero, zero), (far, run, zero), (far, zero, run))])
+    points, along = np.vstack([there, there[::-1]]), np.repeat(np.eye(3), 9, axis=0)
+    along, minutes, forth = np.vstack([along, along[::-1]]), np.arange(len(points)), np.repeat([1.0, -1.0], len(there))
+    lines = Lines(points, None, 0.5 * um, along, 0.2 * um, velocity=along * forth[:, None] * 4 * mm, covariates={
+        "time": (60.0 * minutes, "s"), "temperature_difference": (0.3 * np.sin(minutes / 9.0), "K"),
+        "block": 1 + minutes // 9, "abbe_x": (0.1 + 0.1 * along[:, 1], "m"), "abbe_y": (0.07 + 0.1 * along[:, 2], "m"),
+        **base_point_lines.directions(forth, along)})
+    plan = declare(lines, FreeStart((0.0, 0.0, 0.0)), ProjectedCoordinates(), begin=(-0.2, 1.4, -0.3))
+    return with_recorded_effects(simulate(plan, None, seed), lines, np.full(3, 0.4), np.full(3, 0.4))
+
+
+def example_job(seed: int) -> dict[str, str]:
+    """A runnable job {file name: text}: two perpendicular lines, readings that grow when the path shortens."""
+    run, zero, far = np.linspace(0.05, 0.75, 15), np.zeros(15), np.full(15, 0.75)
+    points = np.vstack([np.column_stack((run, zero, zero)), np.column_stack((far, run, zero))])
+    plan = declare(Lines(points, None, 0.5 * um), TiedStart(), sense=SHORTENING, begin=(-0.2, 1.4, -0.23))
+    readings = simulate(plan, None, seed).observations[0].readings[:, 0]
+    rows = [f"{n},{'XY'[n > 15]},{x / mm:.4f},{y / mm:.4f},{z / mm:.4f},{d / mm:.4f}"
+            for n, ((x, y, z), d) in enumerate(zip(points, readings, strict=True), start=1)]
+    return {"lines.csv": "\n".join(["# source: simulated", "row,line,x_mm,y_mm,z_mm,d_mm", *rows, ""]),
+            "job.toml": EXAMPLE_JOB}
+
+
+EXAMPLE_JOB = """problem = "problems.base_point"
+[data.lines]
+file = "lines.csv"
+instrument = "tracker"
+[instruments.tracker]
+kind = "tracking_interferometer"
+u = "0.5 um"
+counts = "shortening"
+[options]
+start_reading = "free"
+start_point_mm = [0.0, 0.0, 0.0]
+[report]
+quantities = ["base_point", "dead_path", "start_reading"]
+"""

@@ -1,0 +1,147 @@
+"""Readings of tracking interferometers along lines: what was read, from tables of a job and from case folders."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib.errors import InputError
+from calib.job import Job
+from calib.table import Table
+from problems.algebraic_base_point import Span
+
+Array = NDArray[np.float64]
+AXES = ("x", "y", "z")
+_VECTORS = ("points", "along", "velocity")
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Readings of one or more trackers on target points: n rows, SI.
+
+    points: (n, 3) recorded coordinates; readings: (n,), or None to plan; u: (n,) or number, of the trackers.
+    along: (n, 3) unit direction of the line whose interferometer read the point, zero where there was none.
+    u_coordinate: (n,) or number, of that interferometer; seating: (n,) keys, rows of one key share its reading.
+    velocity: (n, 3) [m/s] of the reflector when it was read, zero at rest.
+    tracker, zeroing: (n,) keys; the readings of one tracker since one zeroing share a start length.
+    rows: (n,) row numbers of the file; covariates: {name: (n,) or ((n,), unit)} for effects.
+    Raises InputError where a column has not one value for each row.
+    """
+
+    points: Array
+    readings: Any
+    u: Any
+    along: Any = (0.0, 0.0, 0.0)
+    u_coordinate: Any = 0.0
+    seating: Any = None
+    velocity: Any = (0.0, 0.0, 0.0)
+    tracker: Any = "tracker"
+    zeroing: Any = ""
+    rows: Any = None
+    covariates: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n = len(self.points)
+        counted = np.arange(1, n + 1) if self.rows is None else np.asarray(self.rows)
+        object.__setattr__(self, "rows", counted)
+        object.__setattr__(self, "seating", counted if self.seating is None else self.seating)
+        for name in (*_VECTORS, "readings", "u", "u_coordinate", "seating", "tracker", "zeroing", "rows"):
+            given, shape = getattr(self, name), (n, 3) if name in _VECTORS else (n,)
+            if given is None:
+                continue
+            try:
+                object.__setattr__(self, name, np.broadcast_to(np.asarray(given), shape))
+            except ValueError:
+                raise InputError(f"lines: '{name}' has shape {np.shape(given)} where {shape} is expected: one value "
+                                 "for each target point") from None
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def covariates_of(self, rows: NDArray) -> dict[str, Any]:
+        """The covariates of some rows, with their units."""
+        def part(column: Any) -> Any:
+            return (part(column[0]), column[1]) if isinstance(column, tuple) else np.asarray(column)[rows]
+        return {name: part(column) for name, column in self.covariates.items()}
+
+
+def directions(direction: ArrayLike, along: Array) -> dict[str, Array]:
+    """Covariates direction_x, _y, _z (n,): the direction of approach on lines along that axis, else 0."""
+    return {f"direction_{axis}": np.asarray(direction) * along[:, a] for a, axis in enumerate(AXES)}
+
+
+def of_job(job: Job) -> Lines:
+    """The table `lines` of a job: columns x, y, z, d; line, tracker, zeroing, block, direction, time, temperature.
+
+    Raises InputError naming file, line, key or column.
+    """
+    table = job.table("lines")
+    points = coordinates(table)
+    readings = table.number("d", "length")
+    fixed, rate = job.instrument("lines").uncertainty("u", "length")
+    along = _travelled(points, table.text("line")) if table.has("line") else np.zeros_like(points)
+    covariates: dict[str, Any] = {name: table.text(name) for name in ("line", "tracker") if table.has(name)}
+    if table.has("block"):
+        covariates["block"] = table.whole("block")
+    if table.has("time"):
+        covariates["time"] = (table.number("time", "time"), "s")
+    if table.has("direction"):
+        covariates.update(directions(table.whole("direction"), along))
+    if table.has("temperature"):
+        reference = job.known.quantity("reference_temperature", "temperature", 293.15)
+        covariates["temperature_difference"] = (table.number("temperature", "temperature") - reference, "K")
+    line_instrument = job.options.text("line_instrument", None)
+    u_coordinate, _ = (job.instruments.table(line_instrument).uncertainty("u", "length") if line_instrument
+                       else (0.0, 0.0))
+    return Lines(points, readings, fixed + rate * np.abs(readings), along, u_coordinate, covariates=covariates,
+                 tracker=table.text("tracker") if table.has("tracker") else "tracker",
+                 zeroing=table.text("zeroing") if table.has("zeroing") else "", rows=table.row_numbers)
+
+
+def of_case(job: Job) -> Lines:
+    """A case folder of the scenario `basepoint_multilateration`: a line of kind "fine" has a zeroing of its own.
+
+    Raises InputError naming file, line, key or column.
+    """
+    table, known = job.table("measurements"), job.known
+    described = {one.text("id"): one for one in known.tables("lines")}
+    line = table.text("line")
+    missing = sorted(set(line) - set(described))
+    if missing:
+        raise InputError(f"{table.path}: line '{missing[0]}' is not described; add it to known.lines of {job.path} "
+                         f"(there: {', '.join(described)})")
+    axis = {name: np.eye(3)[AXES.index(one.text("axis", among=AXES))] for name, one in described.items()}
+    kind = {name: one.text("kind", among=("long", "fine")) for name, one in described.items()}
+
+    def of_line(key: str) -> Array:
+        values = {name: one.quantity(key, "length") for name, one in described.items()}
+        return np.array([values[name] for name in line])
+
+    along, direction = np.array([axis[name] for name in line]), table.whole("direction")
+    reference = known.quantity("reference_temperature", "temperature")
+    covariates = {
+        "line": line, "split": table.text("split"), "sweep": table.whole("sweep"), "block": table.whole("block"),
+        "direction": direction, **directions(direction, along), "time": (table.number("time_min", "time"), "s"),
+        "temperature_difference": (table.number("temp_C", "temperature") - reference, "K"),
+        "abbe_x": (of_line("abbe_x"), "m"), "abbe_y": (of_line("abbe_y"), "m")}
+    return Lines(coordinates(table), table.number("d", "length"), of_line("sigma_d"), along, of_line("sigma_axis"),
+                 velocity=along * table.number("speed_mm_s", "length/time")[:, None], rows=table.whole("row"),
+                 zeroing=[name if kind[name] == "fine" else "long" for name in line], covariates=covariates)
+
+
+def coordinates(table: Table) -> Array:
+    """The recorded coordinates (n, 3) [m] of a table."""
+    return np.column_stack([table.number(axis, "length") for axis in AXES])
+
+
+def _travelled(points: Array, line: NDArray) -> Array:
+    """Unit direction (n, 3) of the line of each row, from the recorded coordinates, towards growing ones."""
+    along = np.zeros_like(points)
+    for name in np.unique(line):
+        direction = Span.of(points[line == name]).axes[0]
+        along[line == name] = direction * np.sign(direction[np.abs(direction).argmax()])
+    return np.where(np.abs(along) < 1e-9, 0.0, along)
