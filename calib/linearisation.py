@@ -209,14 +209,13 @@ def linearise_system(system: System, values: Mapping[Unknown, Array]) -> Lineari
                             observations.units(term.dim), observations.readings, predicted,
                             system.residual(term, predicted), weighting, tuple(parts), observations.covariates,
                             observations.covariate_units, observations.is_prior, counted))
-    _, matrix, _ = system.conditions_at(values)
-    conditions = Conditions(matrix[:, layout.free_columns], np.zeros(len(matrix)))
-    lower, upper = (b[layout.free_columns] for b in layout.bounds(values))
-    at_bound = np.flatnonzero((lower >= 0) | (upper <= 0))
+    equal, unequal, _ = system.active_conditions(values)
+    matrix = np.concatenate([equal, unequal])[:, layout.free_columns]
+    pins = np.union1d(*system.at_bounds(values))
+    conditions = Conditions(matrix, np.zeros(len(matrix))).pinned(pins, np.zeros(len(pins)))
     results = {}
     for quantity in system.problem.quantities:
         value, derivatives = system.result(quantity, values)
         dim = value.shape[1]
         results[quantity] = Functions(tuple(quantity.labels(dim)), quantity.units(dim) * quantity.n, value.ravel(), derivatives)
-    return Linearisation(system.problem.name, layout, tuple(groups), conditions.pinned(at_bound, np.zeros(len(at_bound))),
-                         dict(values), results, {a.effect: a.unknown for a in system.problem.attached})
+    return Linearisation(system.problem.name, layout, tuple(groups), conditions, dict(values), results, {a.effect: a.unknown for a in system.problem.attached})

@@ -71,6 +71,12 @@ class Term:
                 begin = end
         return np.ascontiguousarray(result[:self.dim].T), parts
 
+    def matrix(self, values: Values, size: int) -> tuple[Array, Array]:
+        """Predictions (n, dim) and their derivatives (n dim, size) with respect to all columns."""
+        value, parts = self.derive(values, held_too=True)
+        block = Block(np.zeros((self.n, 1), dtype=np.int64), value, tuple(parts))
+        return value, block.dense(np.arange(size), size)
+
     def curvature(self, values: Values, weights: Array) -> tuple[NDArray[np.int64], Array]:
         """Columns (n, F) of the free arguments and the Hessians (n, F, F) of weights (n, dim) times the prediction."""
         columns = np.concatenate([c for c, want in zip(self.columns, self.any_free, strict=True) if want], axis=1)
@@ -79,9 +85,12 @@ class Term:
         return columns, flat.reshape(size, size, self.n).transpose(2, 0, 1)
 
 
-def _sum_to_matrix(term: Term, size: int, parts: Sequence[Part]) -> Array:
-    block = Block(np.zeros((term.n, 1), dtype=np.int64), np.zeros((term.n, term.dim)), tuple(parts))
-    return block.dense(np.arange(size), size)
+def _excess(term: Term, value: Array) -> tuple[Array, Array]:
+    """By how much values (n, dim) of a constraint lie over its upper and under its lower limit, in its tolerance (n dim,)."""
+    constraint = term.bound
+    assert isinstance(constraint, Constraint)
+    return (((value - constraint.upper) / constraint.tolerance).ravel(),
+            ((constraint.lower - value) / constraint.tolerance).ravel())
 
 
 class System:
@@ -196,27 +205,53 @@ class System:
 
     # --- conditions and results -----------------------------------------------------------------------------------
 
-    def conditions_at(self, values: Values, equalities_only: bool = True) -> tuple[Array, Array, Array]:
-        """Conditions at the values: excess over their limits (m,), derivatives (m, size), and tolerances (m,)."""
-        excess, matrices, tolerances = [], [], []
+    def equalities(self, values: Values) -> tuple[Array, Array, Array]:
+        """Equality constraints at the values: excess (m,), derivatives (m, size), and tolerances (m,)."""
+        excess, matrices, tolerances = [np.zeros(0)], [np.zeros((0, self.layout.size))], [np.zeros(0)]
         for term in self.conditions:
             constraint = term.bound
             assert isinstance(constraint, Constraint)
-            if equalities_only and not constraint.is_equality:
-                continue
-            value, parts = term.derive(values, held_too=True)
-            low = np.broadcast_to(constraint.lower, value.shape)
-            high = np.broadcast_to(constraint.upper, value.shape)
-            excess.append((np.maximum(value - high, 0.0) - np.maximum(low - value, 0.0) if not constraint.is_equality
-                           else value - low).ravel())
-            matrices.append(_sum_to_matrix(term, self.layout.size, parts))
-            tolerances.append(np.full(value.size, constraint.tolerance))
-        if not excess:
-            return np.zeros(0), np.zeros((0, self.layout.size)), np.zeros(0)
+            if constraint.is_equality:
+                value, matrix = term.matrix(values, self.layout.size)
+                excess.append((value - constraint.lower).ravel())
+                matrices.append(matrix)
+                tolerances.append(np.full(value.size, constraint.tolerance))
         return np.concatenate(excess), np.concatenate(matrices), np.concatenate(tolerances)
+
+    def active_conditions(self, values: Values) -> tuple[Array, Array, float]:
+        """Derivatives of the equalities and of the active inequalities (signed upwards), and the largest excess of any
+        condition in units of its tolerance."""
+        nothing = np.zeros((0, self.layout.size))
+        equal, unequal, worst = [nothing], [nothing], 0.0
+        for term in self.conditions:
+            value, matrix = term.matrix(values, self.layout.size)
+            over, under = _excess(term, value)
+            worst = max(worst, float(np.max(np.maximum(over, under))))
+            if term.bound.is_equality:
+                equal.append(matrix)
+            else:
+                unequal += [matrix[over >= -1.0], -matrix[under >= -1.0]]
+        return np.concatenate(equal), np.concatenate(unequal), worst
+
+    def forces(self, values: Values, multipliers: Array) -> list[Array]:
+        """Multipliers of the active conditions, equalities first, as one (n, dim) array for each constraint."""
+        arrays = [np.zeros(t.n * t.dim) for t in self.conditions]
+        taken = 0
+        for equality in (True, False):
+            for term, array in zip(self.conditions, arrays, strict=True):
+                if term.bound.is_equality is not equality:
+                    continue
+                over, under = _excess(term, term.predict(values))
+                for rows, sign in ((slice(None), 1.0),) if equality else ((over >= -1.0, 1.0), (under >= -1.0, -1.0)):
+                    array[rows] += sign * multipliers[taken:taken + len(array[rows])]
+                    taken += len(array[rows])
+        return [a.reshape(t.n, t.dim) for a, t in zip(arrays, self.conditions, strict=True)]
+
+    def at_bounds(self, values: Values) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Places among the free columns that sit at their lower and at their upper bound."""
+        lower, upper = (room[self.layout.free_columns] for room in self.layout.bounds(values))
+        return np.flatnonzero(lower >= 0), np.flatnonzero(upper <= 0)
 
     def result(self, quantity: Quantity, values: Values) -> tuple[Array, Array]:
         """Values (n, dim) of a quantity and their derivatives (n dim, size) with respect to all columns."""
-        term = self.results.get(quantity) or self._plain(quantity)
-        value, parts = term.derive(values, held_too=True)
-        return value, _sum_to_matrix(term, self.layout.size, parts)
+        return (self.results.get(quantity) or self._plain(quantity)).matrix(values, self.layout.size)

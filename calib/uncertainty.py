@@ -33,6 +33,15 @@ class Weighting:
         return Weighting(self.u * factor, times(self.whitening, 1 / factor), times(self.weights, factor ** -2),
                          times(self.factors, factor))
 
+    def weigh(self, residual: Array) -> Array:
+        """Inverse covariance times residuals (n, dim)."""
+        weighed = np.empty_like(residual)
+        for mixing in self.weights:
+            block = mixing.apply(residual, ())
+            targets = block.residual.shape[1] // residual.shape[1]
+            weighed[block.rows[:, :targets]] = block.residual.reshape(len(block.rows), targets, -1)
+        return weighed
+
     def draw(self, generator: np.random.Generator) -> Array:
         """Errors (n, dim) drawn from this covariance."""
         normal = generator.standard_normal(self.u.shape)

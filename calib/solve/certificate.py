@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.blocks import Array
 from calib.elimination import Conditions, Factor, factorise
-from calib.observations import Constraint
 from calib.system import System, Values
 from calib.uncertainty import Weighting
 
@@ -44,7 +44,7 @@ def certify(system: System, values: Values, weightings: Sequence[Weighting], gap
     objective is v'Pv (else only feasibility and the gap are judged).
     """
     layout = system.layout
-    equal, unequal, feasibility = _active_conditions(system, values)
+    equal, unequal, feasibility = system.active_conditions(values)
     if not least_squares:
         passed = feasibility <= 1.0 and gap is not None and gap <= 1e-6
         return Certificate(None, feasibility, True, None, gap, passed,
@@ -56,13 +56,13 @@ def certify(system: System, values: Values, weightings: Sequence[Weighting], gap
             np.add.at(pull, part.columns.ravel(), np.einsum("mdf,md->mf", part.jacobian, block.residual).ravel())
     pull = pull[layout.free_columns]
     matrix = np.concatenate([equal, unequal])[:, layout.free_columns]
-    lower, upper = (b[layout.free_columns] for b in layout.bounds(values))
-    pins = np.flatnonzero((lower >= 0) | (upper <= 0))
+    low, high = system.at_bounds(values)
+    pins = np.union1d(low, high)
     conditions = Conditions(matrix, np.zeros(len(matrix))).pinned(pins, np.zeros(len(pins)))
     factor = factorise(blocks, layout, conditions)
     stationarity = float(np.sqrt(factor.covariance(pull[None])[0, 0]))
     multipliers = np.linalg.lstsq(conditions.matrix.T, pull, rcond=None)[0] if len(conditions.target) else np.zeros(0)
-    signs = _signs_hold(system, multipliers, len(equal), len(unequal), pins, lower, upper, factor)
+    signs = _signs_hold(multipliers, len(equal), len(unequal), np.isin(pins, low), np.isin(pins, high))
     curvature = None
     if len(layout.free_columns) <= CURVATURE_SIZE and not factor.defect:
         curvature = _curvature(system, values, weightings, factor, multipliers[:len(matrix)])
@@ -81,39 +81,13 @@ def certify(system: System, values: Values, weightings: Sequence[Weighting], gap
                        "; ".join(reasons) if reasons else "stationary, feasible and curved upwards")
 
 
-def _active_conditions(system: System, values: Values) -> tuple[Array, Array, float]:
-    """Derivatives of the equalities, of the active inequalities (signed upwards), and the largest excess."""
-    equal, unequal, feasibility = [np.zeros((0, system.layout.size))], [np.zeros((0, system.layout.size))], 0.0
-    for term in system.conditions:
-        constraint = term.bound
-        assert isinstance(constraint, Constraint)
-        value, parts = term.derive(values, held_too=True)
-        derivatives = _matrix(term, parts, system.layout.size)
-        over = (value - constraint.upper).ravel() / constraint.tolerance
-        under = (constraint.lower - value).ravel() / constraint.tolerance
-        feasibility = max(feasibility, float(np.max(np.maximum(over, under))))
-        if constraint.is_equality:
-            equal.append(derivatives)
-        else:
-            unequal += [derivatives[over >= -1.0], -derivatives[under >= -1.0]]
-    return np.concatenate(equal), np.concatenate(unequal), max(feasibility, 0.0)
-
-
-def _matrix(term, parts, size: int) -> Array:  # type: ignore[no-untyped-def]
-    from calib.system import _sum_to_matrix
-    return _sum_to_matrix(term, size, parts)
-
-
-def _signs_hold(system: System, multipliers: Array, equalities: int, inequalities: int, pins: Array, lower: Array,
-                upper: Array, factor: Factor) -> bool:
-    """Whether active inequalities and bounds are pushed against, judged in units of u of the pinned direction."""
+def _signs_hold(multipliers: Array, equalities: int, inequalities: int, low: NDArray[np.bool_], high: NDArray[np.bool_]
+                ) -> bool:
+    """Whether active inequalities push downwards and bounds outwards; what is pinned from both sides may push anywhere."""
     slack = 1e-6 * max(1.0, float(np.abs(multipliers).max(initial=0.0)))
-    active = multipliers[equalities:equalities + inequalities]
-    if np.any(active < -slack):
-        return False
     at_bound = multipliers[equalities + inequalities:]
-    low, high = lower[pins] >= 0, upper[pins] <= 0
-    return not np.any((low & ~high & (at_bound > slack)) | (high & ~low & (at_bound < -slack)))
+    return not (np.any(multipliers[equalities:equalities + inequalities] < -slack)
+                or np.any(low & ~high & (at_bound > slack)) or np.any(high & ~low & (at_bound < -slack)))
 
 
 def _curvature(system: System, values: Values, weightings: Sequence[Weighting], factor: Factor, multipliers: Array) -> float:
@@ -124,18 +98,10 @@ def _curvature(system: System, values: Values, weightings: Sequence[Weighting], 
         if term.traced.affine or not any(term.any_free):
             continue
         residual = system.residual(term, term.predict(values))
-        weighed = np.empty_like(residual)
-        for mixing in weighting.weights:
-            block = mixing.apply(residual, ())
-            targets = block.residual.shape[1] // residual.shape[1]
-            weighed[block.rows[:, :targets]] = block.residual.reshape(len(block.rows), targets, -1)
-        _scatter(second, *term.curvature(values, -weighed))
-    begin = 0
-    for term in system.conditions:
-        size = term.n * term.dim
-        if begin + size <= len(multipliers) and not term.traced.affine and any(term.any_free):
-            _scatter(second, *term.curvature(values, multipliers[begin:begin + size].reshape(term.n, term.dim)))
-        begin += size
+        _scatter(second, *term.curvature(values, -weighting.weigh(residual)))
+    for term, forces in zip(system.conditions, system.forces(values, multipliers), strict=True):
+        if not term.traced.affine and any(term.any_free):
+            _scatter(second, *term.curvature(values, forces))
     free = second[np.ix_(layout.free_columns, layout.free_columns)]
     root = factor.root if hasattr(factor, "root") else np.linalg.cholesky(factor.matrix)
     if root.shape[1] == 0:

@@ -43,7 +43,7 @@ class GaussNewton(Method):
         floor = 8 * np.finfo(float).eps * float(size)      # rounding of the predictions, in units of u
         for iteration in range(1, self.iterations + 1):
             blocks = system.blocks(values, weightings)
-            excess, matrix, tolerance = system.conditions_at(values)
+            excess, matrix, tolerance = system.equalities(values)
             conditions = Conditions(matrix[:, layout.free_columns], -excess)
             gradient = _gradient(blocks, layout.position, len(layout.free_columns))
             pins, room = _active(system, values, gradient)
@@ -63,9 +63,9 @@ class GaussNewton(Method):
                 trial = self._moved(system, values, factor.step, room)
                 gain, new_infeasible = self._merit(system, trial, weightings)
                 penalty = max(penalty, 2 * abs(gain - objective) / infeasible if infeasible > 1e-3 and np.isfinite(gain) else 0.0)
-                slack = 1e-10 * objective + 1e-12
-                if (gain + penalty * new_infeasible <= objective + penalty * infeasible + slack
-                        or (remaining <= 1e-5 and new_infeasible <= max(infeasible, 1e-3))):
+                # A full step of a hundredth of u is right; what v'Pv says about it is lost in the rounding of the readings.
+                slack = (1e-6 if remaining <= 1e-2 else 1e-10) * max(1.0, objective)
+                if gain + penalty * new_infeasible <= objective + penalty * infeasible + slack:
                     accepted = True
                     break
                 damping = max(10 * damping, 1e-4)
@@ -90,7 +90,7 @@ class GaussNewton(Method):
             whitened = system.whitened(values, weightings)
         except CalibrationError:
             return np.inf, np.inf
-        excess, _, tolerance = system.conditions_at(values)
+        excess, _, tolerance = system.equalities(values)
         return float(whitened @ whitened), float(np.abs(excess / tolerance).sum()) if len(excess) else 0.0
 
 
