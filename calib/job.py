@@ -202,6 +202,8 @@ def _job(path: Path) -> Job:
             described.text("instrument")
     for section in ("options", "instruments", "known"):
         settings.table(section)
+    for name in settings.table("instruments"):
+        settings.table("instruments").table(name).text("kind", None)
     priors = tuple(_prior(one, path.parent) for one in settings.tables("priors"))
     exclude = tuple(_exclusion(one, complete) for one in settings.tables("exclude"))
     report = settings.table("report")

@@ -1,0 +1,196 @@
+"""result.json: a solved job as numbers in the units named beside them, in full double precision."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from calib import files, geometry, units
+from calib.analyse.covariance import Covariance
+from calib.analyse.reliability import Reliability
+from calib.report.provenance import Provenance
+from calib.unknown import Unknown
+from calib.workflow.solution import Solution
+
+FORMAT = 1
+
+
+def content(solution: Solution, provenance: Provenance) -> dict[str, Any]:
+    """The content of result.json.
+
+    solution: a solved job; provenance: of the run.
+    return: a dictionary ready for JSON.
+    """
+    estimate = solution.estimate
+    return {
+        "format": FORMAT,
+        "problem": solution.job.problem,
+        "job": solution.job.path.name,
+        "method": estimate.method,
+        "converged": estimate.converged,
+        "iterations": estimate.iterations,
+        "message": estimate.message,
+        "certificate": files.plain(estimate.certificate),
+        "vtpv": estimate.objective,
+        "dof": estimate.dof,
+        "p_value": estimate.p_value,
+        "variance_factor": estimate.variance_factor,
+        "unknowns": list(_unknowns(solution)),
+        "derived": list(_derived(solution)),
+        "covariance": _covariance(solution.results),
+        "variance_components": _components(solution),
+        "estimability": {"defect": solution.estimability.defect, "directions": list(solution.estimability.directions),
+                         "condition": solution.estimability.condition},
+        "budgets": [_budget(one) for one in solution.budgets],
+        "tolerances": [_conformity(one) for one in solution.conformities],
+        "excluded": _excluded(solution),
+        "remarks": list(solution.remarks),
+        "advice": list(solution.advice),
+        "certificate_data": dict(_dated(solution)),
+        "provenance": provenance.content(),
+    }
+
+
+def reliability_rows(reliability: Reliability) -> Iterator[dict[str, Any]]:
+    """Every scalar reading with its test, in the display unit of the reading.
+
+    reliability: of a linearisation.
+    return: dictionaries with the columns of observations.csv.
+    """
+    for i in range(len(reliability)):
+        unit = str(reliability.unit[i])
+        scale = units.factor(unit)
+        yield {
+            "row": int(reliability.row[i]), "group": str(reliability.group[i]),
+            "component": str(reliability.component[i]),
+            "reading": reliability.reading[i] / scale, "predicted": reliability.predicted[i] / scale,
+            "residual": reliability.residual[i] / scale, "unit": unit, "u": reliability.u[i] / scale,
+            "w": reliability.w[i], "redundancy": reliability.redundancy[i], "mdb": reliability.mdb[i] / scale,
+            "p_value": reliability.p_value[i],
+        }
+
+
+def _unknowns(solution: Solution) -> Iterator[dict[str, Any]]:
+    for unknown in solution.problem.unknowns:
+        values, u = _shown(solution, unknown)
+        held = solution.problem.is_held(unknown)
+        for instance in range(unknown.count):
+            repeats = unknown.count > 1 or unknown.named_keys
+            key = unknown.keys[instance] if repeats else None
+            name = key if unknown.name in solution.named_by_key else unknown.name
+            for part in range(values.shape[1]):
+                # A direction has two small angles and three components: it is held where both angles are.
+                is_held = bool(held[instance].all() if values.shape[1] != unknown.freedom else held[instance, part])
+                unit = "1" if unknown.kind == "direction" else unknown.units[part]
+                scale = units.factor(unit)
+                yield {
+                    "name": name, "instance": None if name == key else key,
+                    "part": None if values.shape[1] == 1 else _parts(unknown)[part],
+                    "value": values[instance, part] / scale, "u": None if is_held else u[instance, part] / scale,
+                    "unit": unit, "held": is_held,
+                    **(_with_components(solution, unknown.label(instance, part)) if unknown.kind == "vector" else {}),
+                }
+
+
+def _parts(unknown: Unknown) -> tuple[str, ...]:
+    return ("x", "y", "z") if unknown.kind == "direction" else unknown.parts
+
+
+def _shown(solution: Solution, unknown: Unknown) -> tuple[np.ndarray, np.ndarray]:
+    """Values and u (count, parts) in SI: rotations as rotation vectors, directions as their three components."""
+    stored, u = solution.fit.values[unknown], solution.u_of[unknown]
+    if unknown.kind == "vector":
+        return stored, u
+    shown = unknown.show(stored)
+    if unknown.kind == "rotation":
+        return _turns(np.reshape(shown, (-1, 3, 3))), u
+    if unknown.kind == "direction":
+        frames = stored.reshape(-1, 3, 3).transpose(0, 2, 1)
+        # u of a component from the two small angles across the vector; their correlation is in the covariance.
+        across = [_across(solution, unknown, i, frames[i][:, :2]) for i in range(unknown.count)]
+        return np.reshape(shown, (-1, 3)), np.array(across)
+    poses = [shown] if unknown.shape == () else list(shown)  # type: ignore[call-overload]
+    turns = _turns(np.array([pose.rotation for pose in poses], float))
+    return np.hstack([np.array([np.ravel(pose.translation) for pose in poses], float), turns]), u
+
+
+def _across(solution: Solution, unknown: Unknown, instance: int, frame: np.ndarray) -> np.ndarray:
+    from calib.analyse.covariance import covariance
+
+    if solution.problem.is_held(unknown)[instance].any():
+        return np.full(3, np.nan)
+    matrix = covariance(solution.fit, unknown[instance]).matrix
+    return np.sqrt(np.maximum(np.diag(frame @ matrix @ frame.T), 0.0))
+
+
+def _turns(matrices: np.ndarray) -> np.ndarray:
+    return np.array([np.asarray(geometry.rotation_vector(matrix), float).ravel() for matrix in matrices])
+
+
+def _derived(solution: Solution) -> Iterator[dict[str, Any]]:
+    own = {label for unknown in solution.problem.unknowns for label in unknown.labels}
+    for name, value, u, unit in solution.results.displayed:
+        if name not in own:
+            yield {"name": name, "value": value, "u": u, "unit": unit, **_with_components(solution, name)}
+
+
+def _with_components(solution: Solution, name: str) -> dict[str, Any]:
+    """The uncertainty by estimated variance components of one result, where there is one."""
+    found = solution.results_vc
+    if found is None or name not in found.names:
+        return {}
+    index = found.names.index(name)
+    u_vc = found.u[index] / units.factor(found.units[index])
+    if index >= len(solution.coverage):
+        return {"u_vc": u_vc}
+    return {"u_vc": u_vc, "dof_vc": solution.coverage[index].dof, "k_vc": solution.coverage[index].k}
+
+
+def _covariance(results: Covariance) -> dict[str, Any]:
+    scale = np.array([units.factor(unit) for unit in results.units])
+    matrix = results.matrix / np.outer(scale, scale)
+    return {"names": list(results.names), "units": list(results.units), "matrix": matrix}
+
+
+def _components(solution: Solution) -> list[dict[str, Any]]:
+    found = solution.components
+    if found is None:
+        return []
+    return [
+        {"group": found.names[i], "stated_u": found.stated_u[i] / units.factor(found.unit[i]), "unit": found.unit[i],
+         "factor_of_u": found.factor[i], "u_of_factor": found.u_factor[i], "dof": found.dof[i],
+         "redundancy": found.redundancy[i]}
+        for i in range(len(found.names))
+    ]
+
+
+def _budget(one: Any) -> dict[str, Any]:
+    scale = units.factor(one.unit)
+    lines = [{"label": line.label, "u": line.u / scale, "share": line.share} for line in one.contributions]
+    return {"quantity": one.name, "unit": one.unit, "u": one.u / scale, "contributions": lines}
+
+
+def _conformity(one: Any) -> dict[str, Any]:
+    scale = units.factor(one.unit)
+    return {"quantity": one.quantity, "unit": one.unit, "value": one.value / scale, "u": one.u / scale,
+            "lower": one.lower / scale, "upper": one.upper / scale, "probability": one.probability,
+            "verdict": one.verdict}
+
+
+def _excluded(solution: Solution) -> list[dict[str, Any]]:
+    including: list[dict[str, Any]] = []
+    if solution.including is not None:
+        including = [{"name": name, "value": value, "u": u, "unit": unit}
+                     for name, value, u, unit in solution.including.displayed]
+    return [
+        {"table": one.table, "rows": list(one.rows), "reason": one.reason, "including_them": including,
+         "including_refused": solution.including_refused or None}
+        for one in solution.job.exclude
+    ]
+
+
+def _dated(solution: Solution) -> Iterator[tuple[str, Any]]:
+    for key, value in solution.job.certificate.items():
+        yield key, value.isoformat() if hasattr(value, "isoformat") else value

@@ -1,0 +1,206 @@
+"""Solve a job and ask everything of it that a report shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from calib import units
+from calib.analyse.budget import Budget, budget
+from calib.analyse.components import VarianceComponents, variance_components
+from calib.analyse.covariance import Covariance, covariance
+from calib.analyse.estimability import Estimability, estimability
+from calib.analyse.reliability import Reliability, reliability
+from calib.errors import CalibrationError, InputError
+from calib.job import Job
+from calib.linearisation import Functions, Linearisation, linearise
+from calib.problem import Problem
+from calib.solve.estimate import Estimate, solve
+from calib.solve.method import Method
+from calib.unknown import Unknown
+from calib.workflow.conformity import Conformity, judge
+from calib.workflow.knowledge import named, with_priors
+
+BUDGETS = 40     # results up to which a budget is split; beyond that a table of budgets is read by nobody
+REPEATS = 12     # instances up to which an unknown nobody named is reported; foot points and poses are not results
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Effective degrees of freedom of an uncertainty from variance components, and its factor k for 95%."""
+
+    dof: float
+    k: float
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A solved job with its analyses.
+
+    results: the requested quantities with their covariance; results_vc, coverage: the same with estimated variance
+    components; u_of: u (SI) of every unknown, (count, freedom), not a number where held; including: the results with
+    the excluded rows back in; remarks, advice: sentences of the problem module: what no reading shows, what to adjust.
+    """
+
+    job: Job
+    problem: Problem
+    estimate: Estimate
+    fit: Linearisation
+    results: Covariance
+    u_of: dict[Unknown, np.ndarray]
+    reliability: Reliability
+    estimability: Estimability
+    budgets: tuple[Budget, ...]
+    components: VarianceComponents | None
+    components_refused: str
+    results_vc: Covariance | None
+    coverage: tuple[Coverage, ...] = ()
+    conformities: tuple[Conformity, ...] = ()
+    including: Covariance | None = None
+    including_refused: str = ""
+    remarks: tuple[str, ...] = ()
+    advice: tuple[str, ...] = ()
+    named_by_key: tuple[str, ...] = ()
+
+
+def declared(job: Job, module: ModuleType) -> Problem:
+    """The problem of a job, with its prior knowledge.
+
+    job: as read; module: the problem module that it names.
+    return: the problem.
+    raises InputError for a key that nobody asked for, or a name that is not in the problem.
+    """
+    problem = module.from_job(job)
+    for section in ("options", "instruments", "known"):
+        job.settings.table(section)
+    job.refuse_unknown_keys()
+    return with_priors(problem, job.priors)
+
+
+def solved(job: Job, module: ModuleType, method: Method) -> Solution:
+    """Solve a job and analyse the estimate.
+
+    job: as read; module: the problem module that it names; method: how to solve.
+    return: the solution.
+    raises InputError, MethodRefusal or RankDefect where there is none.
+    """
+    problem = declared(job, module)
+    wanted = requested(problem, job.quantities, job.report.where("quantities"))
+    estimate = solve(problem, method)
+    fit = linearise(estimate)
+    results = covariance(fit, *wanted)
+    components, refused = _components(fit)
+    rescaled = components.rescaled(fit) if components else None
+    including, why = _including(job, module, method)
+    return Solution(
+        job=job,
+        problem=problem,
+        estimate=estimate,
+        fit=fit,
+        results=results,
+        u_of=_uncertainties(fit),
+        reliability=reliability(fit),
+        estimability=estimability(fit),
+        budgets=_budgets(fit, wanted),
+        components=components,
+        components_refused=refused,
+        results_vc=covariance(rescaled, *wanted) if rescaled else None,
+        coverage=_coverages(rescaled, components, wanted) if rescaled and components else (),
+        conformities=_conformities(job, results),
+        including=including,
+        including_refused=why,
+        remarks=tuple(module.remarks(job)) if hasattr(module, "remarks") else (),
+        advice=tuple(module.advice(estimate)) if hasattr(module, "advice") else (),
+        named_by_key=tuple(getattr(module, "named_by_key", ())),
+    )
+
+
+def _uncertainties(fit: Linearisation) -> dict[Unknown, np.ndarray]:
+    """Standard uncertainty of every free scalar, in SI; not a number where it is held."""
+    found = {}
+    for unknown in fit.layout.unknowns:
+        span = fit.layout.span(unknown)
+        free = np.asarray(fit.layout.free[span])
+        u = np.full(len(free), np.nan)
+        if free.any():
+            u = np.where(free, covariance(fit, unknown).u, np.nan)
+        found[unknown] = u.reshape(unknown.count, unknown.freedom)
+    return found
+
+
+def _components(fit: Linearisation) -> tuple[VarianceComponents | None, str]:
+    try:
+        return variance_components(fit), ""
+    except CalibrationError as error:
+        return None, str(error)
+
+
+def _budgets(fit: Linearisation, wanted: Sequence[Any]) -> tuple[Budget, ...]:
+    """The budget of each scalar result, up to a number that somebody would read."""
+    all_of_them = fit.functions(*wanted)
+    scalars = [
+        Functions((label,), (all_of_them.units[i],), all_of_them.values[i : i + 1], all_of_them.derivatives[i : i + 1])
+        for i, label in enumerate(all_of_them.labels[:BUDGETS])
+    ]
+    return tuple(budget(fit, scalar) for scalar in scalars)
+
+
+def _coverages(rescaled: Linearisation, components: VarianceComponents, wanted: Sequence[Any]) -> tuple[Coverage, ...]:
+    """Welch-Satterthwaite: JCGM 100:2008, G.4; what is stated counts as known with certainty."""
+    from scipy.special import stdtrit
+
+    dof_of = {group: float(dof) for groups, dof in zip(components.groups, components.dof) for group in groups}
+    found = []
+    for one in _budgets(rescaled, wanted):
+        spread = sum(line.u**4 / dof_of[line.label] for line in one.contributions if line.label in dof_of)
+        dof = one.u**4 / spread if spread > 0 else np.inf
+        found.append(Coverage(dof, float(stdtrit(dof, 0.975)) if np.isfinite(dof) else 1.96))
+    return tuple(found)
+
+
+def _including(job: Job, module: ModuleType, method: Method) -> tuple[Covariance | None, str]:
+    if not job.exclude:
+        return None, ""
+    whole = job.including_excluded()
+    try:
+        problem = with_priors(module.from_job(whole), whole.priors)
+        wanted = requested(problem, job.quantities, job.report.where("quantities"))
+        return covariance(linearise(solve(problem, method)), *wanted), ""
+    except CalibrationError as error:
+        return None, str(error)
+
+
+def _conformities(job: Job, results: Covariance) -> tuple[Conformity, ...]:
+    found = []
+    for tolerance in job.tolerances:
+        if tolerance.quantity not in results.names:
+            near = units.near_matches(tolerance.quantity, list(results.names))
+            hint = f"did you mean '{near[0]}'? " if near else ""
+            raise InputError(f"{tolerance.where}: '{tolerance.quantity}' is not among the results; {hint}There are: "
+                             f"{', '.join(results.names)}")
+        index = results.names.index(tolerance.quantity)
+        if units.dimension(results.units[index]) != units.dimension(tolerance.unit):
+            raise InputError(f"{tolerance.where}: the tolerance is in {tolerance.unit}, the result in "
+                             f"{results.units[index]}; correct the unit")
+        value, u = results[tolerance.quantity]
+        found.append(judge(tolerance.quantity, tolerance.unit, value, u, tolerance.lower, tolerance.upper))
+    return tuple(found)
+
+
+
+def requested(problem: Problem, names: Sequence[str], where: str) -> list[Any]:
+    """What a report is about: the named quantities and unknowns, or, where none is named, all that do not repeat often.
+
+    names: of [report] quantities; where: place in the job, for the message.
+    return: selections, unknowns and quantities.
+    raises InputError where a name is not in the problem.
+    """
+    if names:
+        return [named(problem, name, where) for name in names]
+    unknowns = [one for one in problem.unknowns if one.count <= REPEATS and not problem.is_held(one).all()]
+    return [*(one for one in problem.quantities if one.n <= REPEATS), *unknowns] or [
+        one for one in problem.unknowns if not problem.is_held(one).all()]
