@@ -11,13 +11,14 @@ from calib.observations import Constraint, Observations, Quantity, Shared, prior
 from calib.problem import Problem
 from calib.solve.estimate import Estimate, predict, simulate, solve
 from calib.solve.gauss_newton import GaussNewton
+from calib.solve.ipopt import ExactHessian, GaussNewtonHessian, Ipopt
 from calib.uncertainty import Gaussian
 from calib.unknown import Direction, Pose, Rotation, Unknown
 from calib.workflow.montecarlo import MonteCarlo, montecarlo
 
 __all__ = [
-    "Budget", "Constraint", "Covariance", "Direction", "Effect", "Estimability", "Estimate", "Gaussian", "GaussNewton",
-    "Linearisation", "MonteCarlo", "Observations", "Parameter", "Pose", "Problem", "Quantity", "Reliability", "Rotation",
+    "Budget", "Constraint", "Covariance", "Direction", "Effect", "Estimability", "Estimate", "ExactHessian", "Gaussian",
+    "GaussNewton", "GaussNewtonHessian", "Ipopt", "Linearisation", "MonteCarlo", "Observations", "Parameter", "Pose", "Problem", "Quantity", "Reliability", "Rotation",
     "Shared", "Unknown", "VarianceComponents", "budget", "covariance", "direct", "estimability", "hands_slots_to",
     "linearise", "montecarlo", "predict", "prior", "reliability", "simulate", "solve", "variance_components",
 ]
