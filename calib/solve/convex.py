@@ -1,0 +1,265 @@
+"""Affine problems as convex programs: least squares, Huber, L1 and minimum zone, each with a proven gap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from calib.blocks import Array
+from calib.elimination import sparse_rows
+from calib.errors import CalibrationError, MethodRefusal
+from calib.layout import Layout
+from calib.observations import Constraint
+from calib.solve.loss import L1, Huber, LeastSquares, Loss, MinimumZone
+from calib.solve.method import Method, Outcome, missing_readings
+from calib.system import System, Term, Values
+from calib.uncertainty import Weighting
+
+__all__ = ["L1", "Convex", "Huber", "LeastSquares", "Loss", "MinimumZone"]
+
+LARGEST = 50_000_000      # readings times unknowns that are still worked on as one dense matrix
+TIGHT = 1e-11             # of Clarabel: gap and feasibility
+WORST = 1e-9              # relative loss that refining may add by rounding
+
+
+@dataclass(frozen=True)
+class Convex(Method):
+    """The method for problems that are affine in what is free: no start value matters and the gap proves the answer.
+
+    loss: LeastSquares(), Huber(threshold), L1() or MinimumZone(), of residuals in units of u. Affine constraints and
+    bounds are kept. It is found from the declaration whether a problem is affine.
+    """
+
+    loss: Loss = field(default_factory=LeastSquares)
+    name = "convex"
+
+    @property
+    def least_squares(self) -> bool:     # type: ignore[override]
+        return isinstance(self.loss, LeastSquares)
+
+    def refusal(self, system: System) -> str | None:
+        for term in (*system.terms, *system.conditions):
+            why = _not_affine(term)
+            if why is not None:
+                return f"{why}; use GaussNewton() or Ipopt()"
+        if self.loss.separates_correlated:
+            start = system.layout.start()
+            for term, weighting in zip(system.terms, system.weightings(start), strict=True):
+                if any(mixing.matrix.ndim != 2 for mixing in weighting.whitening):
+                    return (f"{term.bound.what} '{term.bound.name}' have correlated errors, for which "
+                            f"{type(self.loss).__name__} has no single meaning; use LeastSquares() or independent readings")
+        return missing_readings(system.problem)
+
+    def minimise(self, system: System, start: Values) -> Outcome:
+        layout, weightings = system.layout, system.weightings(start)
+        matrix, residual = sparse_rows(system.blocks(start, weightings), layout)
+        if matrix.shape[0] * matrix.shape[1] > LARGEST:
+            raise MethodRefusal(f"convex does not accept {system.problem.name}: {matrix.shape[0]} readings of "
+                                f"{matrix.shape[1]} unknowns are too many for one matrix; use GaussNewton()")
+        norm = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=0)).ravel())
+        scale = 1.0 / np.where(norm > 0, norm, 1.0)
+        derivatives = matrix.toarray() * scale
+        limits = _Limits.of(system, start, scale)
+        centre = np.linalg.lstsq(derivatives, residual, rcond=None)[0]
+        away = residual - derivatives @ centre
+        step, active, status, iterations = self._solved(derivatives, away, limits.moved(centre))
+        x = centre + step
+        values = _moved(layout, start, x * scale)
+        there = _whitened_as_predicted(system, values, weightings, residual - derivatives @ x, residual)
+        change = self._refined(derivatives, there, limits.moved(x), active)
+        if change is not None:
+            values = _moved(layout, values, change * scale)
+            there = system.whitened(values, weightings)
+        gap, unique = self._gap(derivatives, there, _Limits.of(system, values, scale))
+        message = f"converged: {status}" if status == "optimal" or gap <= WORST else f"Clarabel stopped: {status}"
+        if not unique:
+            message += "; other answers have the same loss, and this is one of them"
+        return Outcome(values, status == "optimal" or gap <= WORST, iterations, message, gap,
+                       {"loss": self.loss.value(there), "unique": float(unique)})
+
+    def _solved(self, derivatives: Array, residual: Array, limits: _Limits) -> tuple[Array, Array, str, int]:
+        """Step (p,), which inequalities hold with equality, Clarabel's word and its steps."""
+        import cvxpy
+        x = cvxpy.Variable(derivatives.shape[1])
+        unequal = [limits.above @ x <= limits.room] if len(limits.room) else []
+        equal = [limits.fixed @ x == limits.target] if len(limits.target) else []
+        program = cvxpy.Problem(cvxpy.Minimize(self.loss.expression(residual - derivatives @ x)), [*unequal, *equal])
+        try:
+            program.solve(solver=cvxpy.CLARABEL, tol_gap_abs=TIGHT, tol_gap_rel=TIGHT, tol_feas=TIGHT, max_iter=200)
+        except cvxpy.SolverError as error:
+            raise MethodRefusal(f"convex: Clarabel gives up ({error}); use GaussNewton() or Ipopt()") from error
+        if x.value is None:
+            raise CalibrationError(f"convex: the constraints and bounds contradict each other ({program.status}); "
+                                   f"{limits.names}")
+        step = np.asarray(x.value, float)
+        slack = limits.room - limits.above @ step
+        active = slack < np.asarray(unequal[0].dual_value, float).ravel() if unequal else np.zeros(0, bool)
+        return step, active, str(program.status), int(program.solver_stats.num_iters or 0)
+
+    def _refined(self, derivatives: Array, residual: Array, limits: _Limits, active: Array) -> Array | None:
+        """The last step (p,), to rounding, of what the interior point left open; None where it would not improve."""
+        conditions = np.concatenate([limits.fixed, limits.above[active]])
+        target = np.concatenate([limits.target, limits.room[active]])
+        onto, basis = _within(conditions, target)
+        step = onto + basis @ self.loss.refined(derivatives @ basis, residual - derivatives @ onto)
+        before, after = self.loss.value(residual), self.loss.value(residual - derivatives @ step)
+        kept = after <= before + WORST * max(before, 1.0) and np.all(limits.above @ step <= limits.room + 1e-9)
+        return step if kept else None
+
+    def _gap(self, derivatives: Array, residual: Array, limits: _Limits) -> tuple[float, bool]:
+        """Relative gap to a lower bound from multipliers fitted afresh (Fenchel), and whether the answer is unique."""
+        from scipy.optimize import lsq_linear
+        active = limits.above[limits.room <= 1e-6]
+        dual = self.loss.dual(residual)
+        open_rows = np.flatnonzero(dual.low < dual.high)
+        pushes = np.concatenate([derivatives[open_rows], -limits.fixed, -active]).T
+        low = np.concatenate([dual.low[open_rows], np.full(len(limits.target), -np.inf), np.zeros(len(active))])
+        high = np.concatenate([dual.high[open_rows], np.full(len(limits.target) + len(active), np.inf)])
+        pull = derivatives.T @ dual.value
+        multiplier, pressed = dual.value.copy(), np.zeros(len(active))
+        if pushes.shape[1]:
+            system, right = pushes, -pull
+            if dual.total is not None:      # magnitudes add up to the total: one more equation
+                total = np.zeros(pushes.shape[1])
+                total[:len(open_rows)] = np.sign(residual[open_rows])
+                system, right = np.vstack([pushes, total]), np.append(right, dual.total)
+            found = lsq_linear(system, right, (low, high), method="bvls", tol=1e-15).x
+            multiplier[open_rows] = found[:len(open_rows)]
+            pressed = found[len(open_rows) + len(limits.target):]
+            pull = pull + pushes @ found
+        if dual.total is not None:
+            size = float(np.abs(multiplier).sum())
+            multiplier, pressed, pull = multiplier / size, pressed / size, pull / size
+        value = self.loss.value(residual)
+        _, basis = _within(limits.fixed, limits.target)
+        remaining = np.linalg.lstsq((derivatives @ basis).T, basis.T @ pull, rcond=None)[0]
+        slack = limits.room[limits.room <= 1e-6]
+        gap = value + self.loss.conjugate(multiplier) - float(multiplier @ residual)       # of Fenchel and Young
+        gap += float(pressed @ np.maximum(slack, 0.0))
+        gap += float(np.linalg.norm(remaining)) * self.loss.reach(value, len(residual))
+        return float(max(gap, 0.0) / max(value, 1.0)), self._is_unique(derivatives, residual, limits)
+
+    def _is_unique(self, derivatives: Array, residual: Array, limits: _Limits) -> bool:
+        """Whether the residuals that are zero or largest leave no direction free (L1 and minimum zone only)."""
+        dual = self.loss.dual(residual)
+        open_rows = dual.low < dual.high
+        if not np.any(open_rows):
+            return True
+        rows = derivatives[open_rows]
+        if dual.total is not None:
+            rows = np.sign(residual[open_rows])[:, None] * rows
+            rows = np.column_stack([rows, np.ones(len(rows))])
+        holds = np.concatenate([limits.fixed, limits.above[limits.room <= 1e-6]])
+        holds = np.column_stack([holds, np.zeros((len(holds), rows.shape[1] - holds.shape[1]))])
+        return int(np.linalg.matrix_rank(np.concatenate([rows, holds]), tol=1e-9)) == rows.shape[1]
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """Conditions on a scaled step x (p,): fixed x = target and above x <= room."""
+
+    fixed: Array
+    target: Array
+    above: Array
+    room: Array
+    names: str
+
+    @staticmethod
+    def of(system: System, values: Values, scale: Array) -> _Limits:
+        layout, size = system.layout, len(scale)
+        fixed, target, above, room = [np.zeros((0, size))], [np.zeros(0)], [np.zeros((0, size))], [np.zeros(0)]
+        for term in system.conditions:
+            constraint = term.bound
+            assert isinstance(constraint, Constraint)
+            value, parts = term.derive(values)
+            slope = np.zeros((term.n, term.dim, size + 1))
+            for part in parts:
+                place = layout.position[part.columns]
+                for f in range(place.shape[1]):
+                    slope[np.arange(term.n), :, place[:, f]] += part.jacobian[:, :, f]
+            slope = slope[:, :, :size].reshape(-1, size) * scale
+            unit = np.linalg.norm(slope, axis=1)
+            unit = np.where(unit > 0, unit, constraint.tolerance)
+            low, high = (np.broadcast_to(limit, value.shape).ravel() - value.ravel()
+                         for limit in (constraint.lower, constraint.upper))
+            equal = low == high
+            fixed.append((slope / unit[:, None])[equal])
+            target.append((high / unit)[equal])
+            for sign, limit in ((1.0, high), (-1.0, -low)):
+                there = np.isfinite(limit) & ~equal
+                above.append(sign * (slope / unit[:, None])[there])
+                room.append((limit / unit)[there])
+        for sign, limit in zip((-1.0, 1.0), layout.bounds(values), strict=True):
+            free = limit[layout.free_columns] / scale
+            there = np.isfinite(free)
+            above.append(sign * np.eye(size)[there])
+            room.append(sign * free[there])
+        names = ", ".join(f"'{t.bound.name}'" for t in system.conditions)
+        return _Limits(np.concatenate(fixed), np.concatenate(target), np.concatenate(above), np.concatenate(room),
+                       f"look at {names}" if names else "look at the bounds")
+
+    def moved(self, x: Array) -> _Limits:
+        """The same, seen from x."""
+        return _Limits(self.fixed, self.target - self.fixed @ x, self.above, self.room - self.above @ x, self.names)
+
+
+def _within(conditions: Array, target: Array) -> tuple[Array, Array]:
+    """The smallest step (p,) onto conditions, and a basis (p, q) of the steps within them."""
+    if not len(target):
+        return np.zeros(conditions.shape[1]), np.eye(conditions.shape[1])
+    _, values, right = np.linalg.svd(conditions)
+    rank = int(np.sum(values > 1e-12 * max(values[0], 1.0)))
+    return np.asarray(np.linalg.lstsq(conditions, target, rcond=None)[0], float), right[rank:].T
+
+
+def _moved(layout: Layout, values: Values, step: Array) -> dict[Any, Array]:
+    full = np.zeros(layout.size)
+    full[layout.free_columns] = step
+    moved = layout.move(values, full)
+    # a bound that holds does so exactly: rounding must not put the answer beside it
+    return {u: np.clip(v, u.lower, u.upper) if u.kind == "vector" and layout.free[layout.span(u)].any() else v
+            for u, v in moved.items()}
+
+
+def _whitened_as_predicted(system: System, values: Values, weightings: Sequence[Weighting], expected: Array,
+                           before: Array) -> Array:
+    """Whitened residuals at values; they must be what affine predictions give."""
+    found = system.whitened(values, weightings)
+    size = np.linalg.norm(np.concatenate([(t.predict(values) / w.u).ravel() for t, w in
+                                          zip(system.terms, weightings, strict=True)]))
+    if float(np.abs(found - expected).max()) > 1e-6 + 1e-12 * (size + float(np.abs(before).max())):
+        raise MethodRefusal(f"convex does not accept {system.problem.name}: between the start values and the answer a "
+                            "prediction is not affine or a periodic reading changes its period; use GaussNewton()")
+    return found
+
+
+def _not_affine(term: Term) -> str | None:
+    """A sentence naming the arguments of a term whose free part enters other than affinely."""
+    symbols = term.traced.symbols
+    free = [(source.name, feed.unknown, local) for source, feed, local, want in
+            zip(term.traced.sources, term.feeds, symbols.local, term.any_free, strict=True) if want]
+    if not free:
+        return None
+    # held parameters of effects stand at zero: what they multiply is not there
+    resting = [(ambient, local) for feed, ambient, local, want in
+               zip(term.feeds, symbols.ambient, symbols.local, term.any_free, strict=True)
+               if feed.unknown is not None and not want and not np.any(feed.unknown.ambient)]
+    prediction = term.traced.prediction
+    if resting:
+        zero = [s for pair in resting for s in pair]
+        prediction = ca.substitute([prediction], zero, [ca.SX.zeros(s.shape) for s in zero])[0]
+    bent = ca.which_depends(prediction, ca.vertcat(*[local for *_, local in free]), 2, False)
+    names, begin = [], 0
+    for name, unknown, local in free:
+        if any(bent[begin:begin + local.shape[0]]):
+            kind = "" if unknown is None or unknown.kind == "vector" else f", a {unknown.kind}"
+            names.append(f"'{name}'" if unknown is None else f"'{name}' (unknown '{unknown.name}'{kind})")
+        begin += local.shape[0]
+    if not names:
+        return None
+    return (f"{term.bound.what} '{term.bound.name}': the model {term.bound.model_name} is not affine in "
+            f"argument{'s' if len(names) > 1 else ''} {' and '.join(names)}")
