@@ -37,7 +37,7 @@ def content(solution: Solution, provenance: Provenance) -> dict[str, Any]:
         "dof": estimate.dof,
         "p_value": estimate.p_value,
         "variance_factor": estimate.variance_factor,
-        "unknowns": list(_unknowns(solution)),
+        "unknowns": list(unknown_entries(solution)),
         "derived": list(_derived(solution)),
         "covariance": _covariance(solution.results),
         "variance_components": _components(solution),
@@ -72,7 +72,7 @@ def reliability_rows(reliability: Reliability) -> Iterator[dict[str, Any]]:
         }
 
 
-def _unknowns(solution: Solution) -> Iterator[dict[str, Any]]:
+def unknown_entries(solution: Solution) -> Iterator[dict[str, Any]]:
     for unknown in solution.problem.unknowns:
         values, u = _shown(solution, unknown)
         held = solution.problem.is_held(unknown)
