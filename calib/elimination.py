@@ -51,7 +51,8 @@ class DenseFactor:
     """Orthogonal factor of all whitened derivatives within the null space of the conditions.
 
     derivatives (N, p); residual (N,); conditions; damping: added to the normal matrix in units of its diagonal.
-    step: (p,) least-squares step; null: (p, defect) directions that change no reading; condition: of the scaled derivatives.
+    step: (p,) least-squares step, which is `particular` (p,) to meet the conditions plus `root` times `pull` (rank,);
+    decrement: its size in units of u; null: (p, defect) directions that change no reading; condition: of the scaled derivatives.
     """
 
     def __init__(self, derivatives: Array, residual: Array, conditions: Conditions, damping: float = 0.0):
@@ -59,10 +60,10 @@ class DenseFactor:
         scale = np.sqrt(np.einsum("ij,ij->j", derivatives, derivatives))
         self._scale = np.where(scale > 0, scale, 1.0)
         scaled = derivatives / self._scale
-        self._basis, self._particular = None, np.zeros(self.size)
+        self._basis, particular = None, np.zeros(self.size)
         if len(conditions.target):
-            self._basis, self._particular = _null_space(conditions.matrix / self._scale, conditions.target)
-            residual = residual - scaled @ self._particular
+            self._basis, particular = _null_space(conditions.matrix / self._scale, conditions.target)
+            residual = residual - scaled @ particular
             scaled = scaled @ self._basis
         width = scaled.shape[1]
         stacked = np.column_stack([scaled, residual])
@@ -72,17 +73,13 @@ class DenseFactor:
         left, self._values, self._right = np.linalg.svd(corner[:, :width], full_matrices=True)
         largest = self._values[0] if len(self._values) else 1.0
         self.rank = int(np.sum(self._values > RANK_TOLERANCE * max(largest, 1e-300)))
-        projected = left[:, :self.rank].T @ corner[:, width]
-        self.step = self._outward(self._right[:self.rank].T @ (projected / self._values[:self.rank]) if width else np.zeros(0),
-                                  self._particular)
-        self.decrement = float(np.linalg.norm(projected))
+        self.pull = left[:, :self.rank].T @ corner[:, width]
+        self.particular = particular / self._scale
+        self.step = self.particular + self.root @ self.pull
+        self.decrement = float(np.linalg.norm(self.pull))
         self.defect = width - self.rank
         self.condition = float(largest / self._values[-1]) if len(self._values) == width > 0 and not self.defect else (
             np.inf if self.defect else 1.0)
-
-    def _outward(self, inner: Array, particular: Array) -> Array:
-        outer = inner if self._basis is None else self._basis @ inner
-        return (outer + particular) / self._scale
 
     @cached_property
     def root(self) -> Array:

@@ -247,6 +247,16 @@ class System:
                     taken += len(array[rows])
         return [a.reshape(t.n, t.dim) for a, t in zip(arrays, self.conditions, strict=True)]
 
+    def second_order(self, values: Values, weightings: Sequence[Weighting], multipliers: Array) -> Array:
+        """What the exact Hessian of half v'Pv and of the conditions adds to the normal matrix, over the free columns."""
+        matrix = np.zeros((self.layout.size, self.layout.size))
+        weighed = [-w.weigh(r) for w, r in zip(weightings, self.residuals(values), strict=True)]
+        for term, weights in zip((*self.terms, *self.conditions), (*weighed, *self.forces(values, multipliers)), strict=True):
+            if not term.traced.affine and any(term.any_free):
+                columns, hessians = term.curvature(values, weights)
+                np.add.at(matrix, (columns[:, :, None], columns[:, None, :]), hessians)
+        return matrix[np.ix_(self.layout.free_columns, self.layout.free_columns)]
+
     def at_bounds(self, values: Values) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Places among the free columns that sit at their lower and at their upper bound."""
         lower, upper = (room[self.layout.free_columns] for room in self.layout.bounds(values))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.blocks import Array
-from calib.elimination import Conditions, Factor, factorise
+from calib.elimination import Conditions, DenseFactor, Factor, factorise
 from calib.system import System, Values
 from calib.uncertainty import Weighting
 
@@ -65,7 +65,7 @@ def certify(system: System, values: Values, weightings: Sequence[Weighting], gap
     signs = _signs_hold(multipliers, len(equal), len(unequal), np.isin(pins, low), np.isin(pins, high))
     curvature = None
     if len(layout.free_columns) <= CURVATURE_SIZE and not factor.defect:
-        curvature = _curvature(system, values, weightings, factor, multipliers[:len(matrix)])
+        curvature = _curvature(system.second_order(values, weightings, multipliers[:len(matrix)]), factor)
     reasons = []
     if not stationarity <= STATIONARITY:
         reasons.append(f"a step of {stationarity:.1e} u remains")
@@ -90,24 +90,7 @@ def _signs_hold(multipliers: Array, equalities: int, inequalities: int, low: NDA
                 or np.any(low & ~high & (at_bound > slack)) or np.any(high & ~low & (at_bound < -slack)))
 
 
-def _curvature(system: System, values: Values, weightings: Sequence[Weighting], factor: Factor, multipliers: Array) -> float:
+def _curvature(second: Array, factor: Factor) -> float:
     """Smallest eigenvalue of the exact Hessian of half v'Pv in the metric of the Gauss-Newton matrix."""
-    layout = system.layout
-    second = np.zeros((layout.size, layout.size))
-    for term, weighting in zip(system.terms, weightings, strict=True):
-        if term.traced.affine or not any(term.any_free):
-            continue
-        residual = system.residual(term, term.predict(values))
-        _scatter(second, *term.curvature(values, -weighting.weigh(residual)))
-    for term, forces in zip(system.conditions, system.forces(values, multipliers), strict=True):
-        if not term.traced.affine and any(term.any_free):
-            _scatter(second, *term.curvature(values, forces))
-    free = second[np.ix_(layout.free_columns, layout.free_columns)]
-    root = factor.root if hasattr(factor, "root") else np.linalg.cholesky(factor.matrix)
-    if root.shape[1] == 0:
-        return 1.0
-    return float(1.0 + np.linalg.eigvalsh(root.T @ free @ root)[0])
-
-
-def _scatter(matrix: Array, columns: Array, hessians: Array) -> None:
-    np.add.at(matrix, (columns[:, :, None], columns[:, None, :]), hessians)
+    root = factor.root if isinstance(factor, DenseFactor) else np.linalg.cholesky(factor.matrix)
+    return float(1.0 + np.linalg.eigvalsh(root.T @ second @ root)[0]) if root.shape[1] else 1.0

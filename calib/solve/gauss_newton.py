@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.blocks import Array
-from calib.elimination import Conditions, factorise
+from calib.elimination import Conditions, DenseFactor, Factor, factorise
 from calib.observations import Constraint
 from calib.solve.method import Method, Outcome, missing_readings
 from calib.system import System, Values
+from calib.uncertainty import Weighting
 from calib.unknown import Unknown
 
 
 @dataclass(frozen=True)
 class GaussNewton(Method):
     """The method for least squares: quadratic near the answer, damped far from it.
+
+    Where it becomes slow, because residuals or multipliers are large and the model is curved, it takes Newton steps with
+    the exact Hessian.
 
     tolerance: the remaining step, in units of u, at which it stops; iterations: how many steps at most.
     """
@@ -56,11 +61,11 @@ class GaussNewton(Method):
                                        or (remaining <= 1e-6 and remaining >= 0.5 * last and damping == 0.0)):
                 values = self._moved(system, values, undamped.step, room)
                 return Outcome(values, True, iteration, "converged")
-            last = remaining
-            accepted = False
-            for _ in range(40):
-                factor = undamped if damping == 0.0 else factorise(blocks, layout, conditions, damping)
-                trial = self._moved(system, values, factor.step, room)
+            slow, last, accepted = remaining > 0.3 * last, remaining, False
+            for attempt in range(40):
+                newton = _newton_step(system, values, weightings, undamped, gradient, conditions) if slow and not attempt else None
+                factor = undamped if damping == 0.0 or newton is not None else factorise(blocks, layout, conditions, damping)
+                trial = self._moved(system, values, factor.step if newton is None else newton, room)
                 gain, new_infeasible = self._merit(system, trial, weightings)
                 penalty = max(penalty, 2 * abs(gain - objective) / infeasible if infeasible > 1e-3 and np.isfinite(gain) else 0.0)
                 # A full step of a hundredth of u is right; what v'Pv says about it is lost in the rounding of the readings.
@@ -68,13 +73,13 @@ class GaussNewton(Method):
                 if gain + penalty * new_infeasible <= objective + penalty * infeasible + slack:
                     accepted = True
                     break
-                damping = max(10 * damping, 1e-4)
+                damping = max(10 * damping, 1e-4) if newton is None else damping
             if not accepted:
                 message = "no step lowers the objective; the start may be far away or the model not smooth there"
                 break
             values = trial
             damping = damping / 10 if damping > 1e-6 else 0.0
-        return Outcome(values, False, iteration, message)
+        return Outcome(values, False, iteration, _contradiction(system, values) or message)
 
     @staticmethod
     def _moved(system: System, values: Values, step: Array, room: tuple[Array, Array]) -> dict[Unknown, Array]:
@@ -101,6 +106,29 @@ def _gradient(blocks, position: NDArray[np.int64], size: int) -> Array:  # type:
         for part in block.parts:
             np.add.at(pull, position[part.columns].ravel(), np.einsum("mdf,md->mf", part.jacobian, block.residual).ravel())
     return pull[:size]
+
+
+def _newton_step(system: System, values: Values, weightings: Sequence[Weighting], factor: Factor, pull: Array,
+                 conditions: Conditions) -> Array | None:
+    """Step (p,) with the exact Hessian, or None where there are too many unknowns or it does not curve upwards."""
+    if not isinstance(factor, DenseFactor):
+        return None
+    multipliers = np.linalg.lstsq(conditions.matrix.T, pull, rcond=None)[0] if len(conditions.target) else np.zeros(0)
+    second = system.second_order(values, weightings, multipliers)
+    hessian = np.eye(factor.rank) + factor.root.T @ second @ factor.root
+    lengths, axes = np.linalg.eigh(hessian)
+    if not len(lengths) or lengths[0] <= 1e-3:
+        return None
+    inner = axes @ ((axes.T @ (factor.pull - factor.root.T @ (second @ factor.particular))) / lengths)
+    return factor.particular + factor.root @ inner
+
+
+def _contradiction(system: System, values: Values) -> str | None:
+    """A sentence naming the constraint that is missed most, where the constraints cannot all be met."""
+    worst = [(float(np.abs(t.predict(values) - t.bound.lower).max() / t.bound.tolerance), t.bound.name) for t in system.conditions]
+    missed = max(worst, default=(0.0, ""))
+    return (f"the constraints contradict each other or cannot be reached: '{missed[1]}' is missed by {missed[0]:.3g} times its "
+            "tolerance; check the constraints, or start nearer" if missed[0] > 1.0 else None)
 
 
 def _into_bounds(system: System, values: dict[Unknown, Array]) -> dict[Unknown, Array]:

@@ -1,0 +1,73 @@
+"""The factor with eliminated blocks against the dense one, on the same readings."""
+
+import numpy as np
+import pytest
+from declared import network
+
+from calib import Constraint, elimination, estimability, linearise, prior, reliability
+from calib.elimination import DenseFactor, EliminatedFactor
+from calib.linearisation import linearise as linearise_problem
+
+
+def both(problem, monkeypatch):
+    """The same problem linearised with the dense and with the eliminated factor."""
+    dense, eliminated = linearise(problem), linearise_problem(problem)
+    monkeypatch.setattr(elimination, "DENSE_SIZE", 10_000)
+    assert isinstance(dense.factor, DenseFactor)
+    monkeypatch.setattr(elimination, "DENSE_SIZE", 1)
+    assert isinstance(eliminated.factor, EliminatedFactor)
+    return dense, eliminated
+
+
+CASES = {
+    "points and stations": lambda p, s, q: p,
+    "a point held": lambda p, s, q: p.hold(q[3]),
+    "priors on points": lambda p, s, q: p.with_observations(prior(q[2], q.ambient[2], 1e-5)),
+    "a condition between stations": lambda p, s, q: type(p)(
+        p.observations, [Constraint("same height", lambda a, b: a.translation[2] - b.translation[2], s[1], s[2], tolerance=1e-9,
+                                    lower=0.3, upper=0.3)], held=[s[0]]),
+    "a condition on a point": lambda p, s, q: type(p)(
+        p.observations, [Constraint("height", lambda a: a[2], q[1], tolerance=1e-9)], held=[s[0]]),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_elimination_changes_no_result(case, monkeypatch):
+    dense, eliminated = both(CASES[case](*network(4, 15, 1)), monkeypatch)
+    size = dense.factor.size
+    scale = np.sqrt(np.diag(dense.factor.matrix))
+    scale = np.where(scale > 1e-12, scale, 1.0)         # a column that a condition pins has none
+    assert np.abs((eliminated.factor.step - dense.factor.step) / scale).max() < 1e-8
+    assert np.abs((eliminated.factor.matrix - dense.factor.matrix) / np.outer(scale, scale)).max() < 1e-9
+    right = np.random.default_rng(0).normal(size=(size, 3)) / scale[:, None]
+    assert np.abs((eliminated.factor.solve(right) - dense.factor.solve(right)) / scale[:, None]).max() < 1e-8
+    assert eliminated.dof == dense.dof
+    assert eliminated.factor.decrement == pytest.approx(dense.factor.decrement, rel=1e-9)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_redundancy_numbers_add_up_to_the_degrees_of_freedom_and_agree(case, monkeypatch):
+    dense, eliminated = both(CASES[case](*network(4, 15, 2)), monkeypatch)
+    one, other = reliability(dense), reliability(eliminated)
+    assert one.redundancy.sum() == pytest.approx(dense.dof, abs=1e-7)
+    assert np.abs(one.redundancy - other.redundancy).max() < 1e-9
+    assert np.abs(one.w - other.w).max() < 1e-6
+
+
+def test_a_free_datum_has_its_six_directions_in_both(monkeypatch):
+    problem, station, _ = network(4, 15, 3)
+    dense, eliminated = both(problem.free(station[0]), monkeypatch)
+    assert (estimability(dense).defect, estimability(eliminated).defect) == (6, 6)
+    overlap = np.linalg.svd(np.linalg.qr(dense.factor.null)[0].T @ np.linalg.qr(eliminated.factor.null)[0])[1]
+    assert overlap == pytest.approx(np.ones(6), abs=1e-6)
+
+
+def test_points_seen_by_nobody_are_found_when_eliminated(monkeypatch):
+    problem, _, point = network(4, 15, 4)
+    seen = problem.observations[0]
+    kept = seen.covariates["point"] != 5
+    smaller = type(seen)(seen.model, seen.arguments[0].unknown[seen.arguments[0].index[kept]],
+                         point[seen.arguments[1].index[kept]], readings=seen.readings[kept], u=[5e-6] * 3, period=seen.period)
+    dense, eliminated = both(type(problem)([smaller, prior(point[14], point.ambient[14], 1.0)]).hold(seen.arguments[0].unknown[0]),
+                             monkeypatch)
+    assert dense.factor.defect == eliminated.factor.defect == 0 or "point[5]" in " ".join(estimability(eliminated).directions)
