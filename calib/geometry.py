@@ -63,9 +63,11 @@ def product(left: Any, right: Any) -> Any:
 
 
 def dot(a: Any, b: Any) -> Any:
-    """Scalar product of two vectors (..., 3)."""
-    (ax, ay, az), (bx, by, bz) = _parts(a), _parts(b)
-    return ax * bx + ay * by + az * bz
+    """Scalar product of two vectors of one length, (dim,) or for numbers (..., dim)."""
+    a, b = (column(*v) if isinstance(v, (list, tuple)) else v for v in (a, b))
+    if _is_symbolic(a, b):
+        return ca.dot(_plain(a), _plain(b))
+    return np.sum(np.asarray(a, dtype=float) * np.asarray(b, dtype=float), axis=-1)
 
 
 def cross(a: Any, b: Any) -> Any:
@@ -75,12 +77,13 @@ def cross(a: Any, b: Any) -> Any:
 
 
 def norm(vector: Any) -> Any:
-    """Length of a vector (..., 3); its derivative at the zero vector does not exist."""
-    return _mathematics(vector).sqrt(dot(vector, vector))
+    """Length of a vector, (dim,) or for numbers (..., dim); it has no derivative at the zero vector."""
+    square = dot(vector, vector)
+    return _mathematics(square).sqrt(square)
 
 
 def unit(vector: Any) -> Any:
-    """The unit vector along a vector (..., 3). Raises InputError for a NumPy vector of length zero."""
+    """The unit vector along a vector, (dim,) or (..., dim). Raises InputError for numbers of length zero."""
     length = norm(vector)
     if _is_symbolic(vector):
         return vector / length

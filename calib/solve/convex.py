@@ -51,7 +51,7 @@ class Convex(Method):
             for term, weighting in zip(system.terms, system.weightings(start), strict=True):
                 if any(mixing.matrix.ndim != 2 for mixing in weighting.whitening):
                     return (f"{term.bound.what} '{term.bound.name}' have correlated errors, for which "
-                            f"{type(self.loss).__name__} has no single meaning; use LeastSquares() or independent readings")
+                            f"{type(self.loss).__name__} has no single meaning; use LeastSquares()")
         return missing_readings(system.problem)
 
     def minimise(self, system: System, start: Values) -> Outcome:
