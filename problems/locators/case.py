@@ -1,0 +1,82 @@
+"""Jobs of the locator problem: a case folder of scenario `locator_pose`, or a TOML job with the same tables.
+
+The table `measurements` has the columns pose, block, time_min, temp_C, kind ("axis" or "target"), item, v1_mm, v2_mm,
+v3_mm, dir1, dir2, dir3; an axis row holds the readings of one locator, a target row coordinates in the frame of the
+tracker.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib import Problem
+from calib.errors import InputError
+from calib.job import Job
+from calib.table import Table
+from calib.units import kelvin_from_celsius, mm
+from instruments import laser_tracker
+from problems.locators.errors import AXES, Frames
+from problems.locators.measured import Locator, Readings, Setup, declare
+
+KINDS = ("axis", "target")
+
+
+def from_job(job: Job) -> Problem:
+    """The declared problem of a job: poses and tracker frame unknown, every named effect held.
+
+    job: with the table `measurements`, [instruments.locator], [instruments.tracker] and [known].
+    Raises InputError for an unknown kind of row, locator or target, and for what is missing.
+    """
+    table = job.table("measurements")
+    setup = setup_of(job)
+    axes, targets = readings_of_kind(table, "axis", job), readings_of_kind(table, "target", job)
+    if not len(axes.rows):
+        raise InputError(f"{table.path}: no row of kind 'axis'; the readings of the locators are missing.")
+    locator, tracker = job.instruments.table("locator"), job.instruments.table("tracker")
+    u_tracker = (tracker.quantity("sigma_range", "length"), tracker.quantity("sigma_azimuth", "angle"),
+                 tracker.quantity("sigma_zenith", "angle")) if len(targets.rows) else (1.0, 1.0, 1.0)
+    return declare(setup, axes, targets if len(targets.rows) else None, u_axis=locator.quantity("sigma_axis", "length"),
+                   u_tracker=u_tracker)
+
+
+def setup_of(job: Job) -> Setup:
+    """Locators, targets and lever arms from the table [known] of a job."""
+    known = job.known
+    height, reach = known.quantity("abbe_height", "length"), known.quantity("reach_at_zero", "length")
+    locators = tuple(
+        Locator(one.text("id"), Frames.with_levers(one.quantity("base", "length"), height, reach),
+                np.asarray(one.quantity("ball_in_part", "length"))) for one in known.tables("locators"))
+    if not locators:
+        raise InputError(f"{known.where('locators')}: no locator is described; add [[known.locators]] with id, "
+                         f"base_mm and "
+                         "ball_in_part_mm")
+    targets = {one.text("id"): np.asarray(one.quantity("in_part", "length")) for one in known.tables("targets")}
+    half = known.table("axis_half_range_mm")
+    return Setup(locators, targets, tuple(half.number(axis) * mm for axis in AXES))
+
+
+def readings_of_kind(table: Table, kind: str, job: Job) -> Readings:
+    """The axis or target rows of a table; Cartesian coordinates of targets are turned back into polar readings.
+
+    table: `measurements`; kind: "axis" or "target". Raises InputError for a kind that is neither.
+    """
+    kinds = table.text("kind")
+    strange = [(row, k) for row, k in zip(table.row_numbers, kinds, strict=True) if k not in KINDS]
+    if strange:
+        raise InputError(f"{table.path}, row {strange[0][0]}, column 'kind': '{strange[0][1]}' is neither 'axis' nor "
+                         f"'target'; "
+                         "correct it")
+    reference = kelvin_from_celsius(job.known.number("reference_temperature_C", 20.0))
+    readings = Readings(
+        pose=table.whole("pose"), item=np.asarray(table.text("item")),
+        values=np.column_stack([table.number(name, "length") for name in ("v1", "v2", "v3")]),
+        approach=np.column_stack([table.number(name, "number") for name in ("dir1", "dir2", "dir3")]),
+        time=table.number("time", "time"), temperature_difference=table.number("temp", "temperature") - reference,
+        block=table.whole("block"), rows=table.row_numbers,
+        split=np.asarray(table.text("split")) if table.has("split") else np.full(len(table), "fit"))
+    chosen = readings.where(np.asarray(kinds) == kind)
+    if kind == "target" and len(chosen.rows):
+        chosen = replace(chosen, values=laser_tracker.polar_readings(chosen.values))
+    return chosen
