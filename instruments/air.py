@@ -10,9 +10,10 @@ from typing import Any
 
 from casadi import exp
 
-SOURCE = "Ciddor, Refractive index of air: new equations for the visible and near infrared, Appl. Opt. 35 (1996) 1566-1573"
+SOURCE = "Ciddor, Appl. Opt. 35 (1996) 1566-1573, refractive index of air: new equations for the visible and near infrared"
 
-# Derivatives of the phase index at 633 nm, 20 degC, 101 325 Pa, 50 % relative humidity and 450 ppm CO2 (a test derives them again).
+# Derivatives of the phase index at 633 nm, 20 degC, 101 325 Pa, 50 % relative humidity and 450 ppm CO2 (a test derives
+# them again).
 PER_KELVIN = -0.955e-6           # [1/K], at constant relative humidity
 PER_PASCAL = 2.68e-9             # [1/Pa]
 PER_HUMIDITY = -0.85e-6          # for the whole range of relative humidity, 0 to 1 [1]
@@ -37,7 +38,10 @@ def _molar_density(temperature: Any, pressure: Any, water: Any) -> Any:
 
 
 def saturation_pressure(temperature: Any) -> Any:
-    """Saturation pressure of water vapour over water; temperature [K]. Returns [Pa]. Source: Ciddor (1996), appendix A (after Davis 1992)."""
+    """Saturation pressure of water vapour over water.
+
+    temperature [K]. Returns [Pa]. Source: Ciddor (1996), appendix A (after Davis 1992).
+    """
     return exp(1.2378847e-5 * temperature**2 - 1.9121316e-2 * temperature + 33.93711047 - 6.3431645e3 / temperature)
 
 
@@ -63,17 +67,19 @@ def phase_index(wavelength: Any, temperature: Any, pressure: Any, water: Any, ca
     standard_air = 1e-8 * (5792105 / (238.0185 - wave_number_2) + 167917 / (57.362 - wave_number_2))
     dry_air = standard_air * (1 + 0.534 * (carbon_dioxide - 450e-6))
     vapour = 1.022e-8 * (295.235 + 2.6422 * wave_number_2 - 0.032380 * wave_number_2**2 + 0.004028 * wave_number_2**3)
-    # Both densities are ratios to their reference states (dry air 15 degC, 101 325 Pa; pure vapour 20 degC, 1333 Pa), in which the
-    # molar masses of air and water cancel.
+    # Densities enter as ratios to their reference states (dry air at 15 degC, 101 325 Pa; pure vapour at 20 degC, 1333 Pa),
+    # in which the molar masses of air and water cancel.
     density = _molar_density(temperature, pressure, water)
     return (1 + dry_air * density * (1 - water) / _molar_density(288.15, 101325.0, 0.0)
             + vapour * density * water / _molar_density(293.15, 1333.0, 1.0))
 
 
-def moist_air_index(wavelength: Any, temperature: Any, pressure: Any, relative_humidity: Any, carbon_dioxide: Any) -> Any:
+def moist_air_index(wavelength: Any, temperature: Any, pressure: Any, relative_humidity: Any,
+                    carbon_dioxide: Any) -> Any:
     """Phase refractive index from what stands on the wall: `phase_index` with the humidity relative.
 
     relative_humidity: 0 to 1 [1]; the other arguments as for `phase_index`. Returns n.
     """
     vapour_pressure = relative_humidity * saturation_pressure(temperature)
-    return phase_index(wavelength, temperature, pressure, water_fraction(temperature, pressure, vapour_pressure), carbon_dioxide)
+    return phase_index(wavelength, temperature, pressure, water_fraction(temperature, pressure, vapour_pressure),
+                       carbon_dioxide)

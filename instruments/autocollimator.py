@@ -20,9 +20,11 @@ from calib.units import arcsec, hour, minute
 
 from . import influence, stated
 
-ANGLES = "Sim, Modern developments in angle measurement, in Hewitt (ed.), Modern Techniques in Metrology, World Scientific 1984"
+ANGLES = ("Sim, Modern developments in angle measurement, in Hewitt (ed.), Modern Techniques in Metrology, World Scientific "
+          "1984")
 INDEXING = "Reeve, The calibration of indexing tables by subdivision, NBSIR 75-750, National Bureau of Standards 1975"
-COLLIMATORS = "Yandayan, Akgoz, Asar, Meas. Sci. Technol. 25 (2014) 015010, calibration of high-resolution electronic autocollimators"
+COLLIMATORS = ("Yandayan, Akgoz, Asar, Meas. Sci. Technol. 25 (2014) 015010, calibration of high-resolution electronic "
+               "autocollimators")
 
 
 def indication(angle: Any, zero: Any, *, mirror: Any = direct, autocollimator: Any = direct) -> Any:
@@ -62,7 +64,8 @@ def polygon_face_in_two_axes(face: Any, pyramid: Any, table: Any, zero: Any, *, 
     def with_tilt(value: Any, **asked: Any) -> Any:
         return autocollimator(value, tilt=tilt, **asked)
 
-    return (indication(angle, zero[0], autocollimator=with_tilt, **slots), autocollimator_tilt(zero[1] + tilt, angle=angle))
+    return (indication(angle, zero[0], autocollimator=with_tilt, **slots),
+            autocollimator_tilt(zero[1] + tilt, angle=angle))
 
 
 def closure(name: str, deviations: Unknown, tolerance: float = 1e-12) -> Constraint:
@@ -72,8 +75,8 @@ def closure(name: str, deviations: Unknown, tolerance: float = 1e-12) -> Constra
     tolerance [rad].
     Returns the constraint. Source: the closure of the circle, Sim (1984).
     """
-    return Constraint(name, _sum_of(deviations.count), *(deviations[i] for i in range(deviations.count)), tolerance=tolerance,
-                      unit="arcsec")
+    return Constraint(name, _sum_of(deviations.count), *(deviations[i] for i in range(deviations.count)),
+                      tolerance=tolerance, unit="arcsec")
 
 
 def _sum_of(count: int) -> Callable[..., Any]:
@@ -107,7 +110,8 @@ def table_uncertainty(limit: float, repeatability: float) -> stated.Lines:
     Returns the lines `accuracy` and `repeatability` of a turn [rad]. Source: JCGM 100:2008, 4.3.7; Reeve (1975) for
     the model.
     """
-    return stated.Lines({"accuracy": np.sqrt(2.0) * stated.rectangular(limit), "repeatability": np.sqrt(2.0) * repeatability})
+    return stated.Lines({"accuracy": np.sqrt(2.0) * stated.rectangular(limit),
+                         "repeatability": np.sqrt(2.0) * repeatability})
 
 
 def effects(blocks: Sequence[int] = (), interpolation_period: float = 10 * arcsec) -> tuple[Effect, ...]:
@@ -123,10 +127,13 @@ def effects(blocks: Sequence[int] = (), interpolation_period: float = 10 * arcse
     return (
         influence.gain("gain", "mirror", "1", (1e-4, 0.02), channel="autocollimator", source=COLLIMATORS),
         Effect("interpolation", "mirror", lambda value, p: p.c * cos(waves * value) + p.s * sin(waves * value),
-               (Parameter("c", "arcsec", small), Parameter("s", "arcsec", small)), "autocollimator", source=COLLIMATORS),
-        Effect("roll", "autocollimator", lambda value, p, tilt: p.rho * tilt, (Parameter("rho", "mrad", (1e-4, 2e-2)),), source=ANGLES),
+               (Parameter("c", "arcsec", small), Parameter("s", "arcsec", small)), "autocollimator",
+               source=COLLIMATORS),
+        Effect("roll", "autocollimator", lambda value, p, tilt: p.rho * tilt,
+               (Parameter("rho", "mrad", (1e-4, 2e-2)),), source=ANGLES),
         Effect("wobble", "mirror_tilt", lambda value, p, table_angle: p.c * cos(table_angle) + p.s * sin(table_angle),
-               (Parameter("c", "arcsec", (0.1 * arcsec, 20 * arcsec)), Parameter("s", "arcsec", (0.1 * arcsec, 20 * arcsec))), source=INDEXING),
+               (Parameter("c", "arcsec", (0.1 * arcsec, 20 * arcsec)),
+                Parameter("s", "arcsec", (0.1 * arcsec, 20 * arcsec))), source=INDEXING),
         influence.drift("autocollimator", "arcsec", (0.02 * arcsec / hour, 5 * arcsec / hour), source=COLLIMATORS),
         influence.thermal("autocollimator", "arcsec", (0.01 * arcsec, 2 * arcsec), source=COLLIMATORS),
         *influence.steps("autocollimator", "arcsec", (0.02 * arcsec, 10 * arcsec), blocks, source=COLLIMATORS),
@@ -147,25 +154,30 @@ def example(seed: int, divisions: int = 8) -> Problem:
     face, table = (Unknown(name, np.zeros((divisions, 1)), "arcsec", keys=keys) for name in ("face", "table"))
     pyramid = Unknown("pyramid", np.zeros((divisions, 1)), "arcsec", keys=keys)
     zero = Unknown("zero", np.zeros((divisions - 1, 1)), "arcsec")
-    both_zeros, mirror_zero = Unknown("both_zeros", np.zeros(2), "arcsec", parts=("horizontal", "vertical")), Unknown("mirror_zero", 0.0, "arcsec")
-    mounting, turn = (axis.ravel() for axis in np.meshgrid(np.arange(divisions - 1), np.arange(divisions), indexing="ij"))
+    both_zeros = Unknown("both_zeros", np.zeros(2), "arcsec", parts=("horizontal", "vertical"))
+    mirror_zero = Unknown("mirror_zero", 0.0, "arcsec")
+    mounting, turn = (axis.ravel()
+                      for axis in np.meshgrid(np.arange(divisions - 1), np.arange(divisions), indexing="ij"))
 
     def influences(turns: np.ndarray, start: float, blocks: np.ndarray) -> dict[str, Any]:
         time = start + np.arange(len(turns)) * minute
         return {"time": (time, "s"), "temperature_difference": (0.1 * np.sin(time / hour), "K"), "block": blocks,
                 "table_angle": (2 * np.pi * turns / divisions, "rad")}
 
-    one_axis = Observations(polygon_face, face[(turn + mounting) % divisions], table[turn], zero[mounting], u=0.05 * arcsec, group="one axis",
+    one_axis = Observations(polygon_face, face[(turn + mounting) % divisions], table[turn], zero[mounting],
+                            u=0.05 * arcsec, group="one axis",
                             unit="arcsec", covariates=influences(turn, 0.0, 1 + mounting))
     last = np.arange(divisions)
     two_axes = Observations(polygon_face_in_two_axes, face[(last + divisions - 1) % divisions],
-                            pyramid[(last + divisions - 1) % divisions], table[last], both_zeros, u=0.05 * arcsec, group="two axes",
+                            pyramid[(last + divisions - 1) % divisions], table[last], both_zeros, u=0.05 * arcsec,
+                            group="two axes",
                             unit="arcsec", components=("horizontal", "vertical"),
                             covariates=influences(last, len(turn) * minute, np.full(divisions, divisions)))
     known = np.linspace(-20.0, 20.0, 9) * arcsec
     mirror = Observations(indication, known, mirror_zero, u=0.05 * arcsec, group="mirror", unit="arcsec",
                           covariates=influences(np.zeros(9), -hour, np.zeros(9)))
     problem = Problem([one_axis, two_axes, mirror],
-                      constraints=[closure("faces close", face), closure("table closes", table), closure("pyramid mean", pyramid)],
+                      constraints=[closure("faces close", face), closure("table closes", table),
+                                   closure("pyramid mean", pyramid)],
                       effects=effects(blocks=(2, divisions)), name="polygon against indexing table")
     return simulate(problem, {face: face_start[:, None], table: table_start[:, None]}, seed)

@@ -14,10 +14,10 @@ import numpy as np
 from casadi import DM
 from numpy.typing import ArrayLike
 
-from calib import Effect, Observations, Parameter, Pose, Problem, Shared, direct, hands_slots_to, simulate
-from calib.units import arcsec, mm, ppm, um, urad
+from calib import Effect, Observations, Parameter, Pose, Problem, direct, hands_slots_to, simulate
+from calib.units import arcsec, ppm, um, urad
 
-from . import influence, stated
+from . import stated
 
 GUIDES = "ISO 230-1:2012; Schwenke et al., CIRP Annals 57 (2008) 660-675, geometric error measurement and compensation"
 ABBE = "Bryan, Precision Engineering 1 (1979) 129-132, the Abbe principle revisited"
@@ -78,7 +78,8 @@ def coordinate_uncertainty(fixed: float, rate: float, length: float) -> float:
 
 
 def guide_effects(slot: str = "machine_point", prefix: str = "", groups: Sequence[str] | None = None,
-                  middle: ArrayLike = (0.0, 0.0, 0.0), half_range: ArrayLike = (0.5, 0.5, 0.5), angle_unit: str = "urad",
+                  middle: ArrayLike = (0.0, 0.0, 0.0), half_range: ArrayLike = (0.5, 0.5, 0.5),
+                  angle_unit: str = "urad",
                   ) -> tuple[Effect, ...]:
     """Errors of three guides as effects for any slot that holds the recorded coordinates (3,).
 
@@ -96,10 +97,12 @@ def guide_effects(slot: str = "machine_point", prefix: str = "", groups: Sequenc
         return Effect(name, slot, function, (parameter,), prefix + channel, groups=confined, source=source)
 
     def zero_offset(a: int) -> Effect:
-        return effect("zero_offset", AXES[a], lambda value, p: p.o * _ALONG[a], Parameter("o", "um", (0.5 * um, 500 * um)))
+        return effect("zero_offset", AXES[a], lambda value, p: p.o * _ALONG[a],
+                      Parameter("o", "um", (0.5 * um, 500 * um)))
 
     def scale(a: int) -> Effect:
-        return effect("scale", AXES[a], lambda value, p: p.k * value[a] * _ALONG[a], Parameter("k", "ppm", (0.2 * ppm, 200 * ppm)))
+        return effect("scale", AXES[a], lambda value, p: p.k * value[a] * _ALONG[a],
+                      Parameter("k", "ppm", (0.2 * ppm, 200 * ppm)))
 
     def squareness(channel: str, moved: int, of: int, sign: int) -> Effect:
         return effect("squareness", channel, lambda value, p: sign * p.eps * value[of] * _ALONG[moved],
@@ -110,7 +113,8 @@ def guide_effects(slot: str = "machine_point", prefix: str = "", groups: Sequenc
                       lambda value, p: p.w * ((value[a] - middle[a]) / half_range[a]) ** 2 * _ALONG[b],
                       Parameter("w", "um", (0.2 * um, 200 * um)))
 
-    kappa, width = Parameter("kappa", "urad/m", (0.5 * urad, 200 * urad)), Parameter("width", "um", (0.2 * um, 100 * um))
+    kappa = Parameter("kappa", "urad/m", (0.5 * urad, 200 * urad))
+    width = Parameter("width", "um", (0.2 * um, 100 * um))
     return (
         *(zero_offset(a) for a in range(3)), *(scale(a) for a in range(3)),
         squareness("xy", 0, 1, -1), squareness("yz", 1, 2, -1), squareness("zx", 0, 2, 1),
@@ -123,7 +127,8 @@ def guide_effects(slot: str = "machine_point", prefix: str = "", groups: Sequenc
     )
 
 
-def cosine_effects(slot: str = "machine_point", prefix: str = "", groups: Sequence[str] | None = None) -> tuple[Effect, ...]:
+def cosine_effects(slot: str = "machine_point", prefix: str = "",
+                   groups: Sequence[str] | None = None) -> tuple[Effect, ...]:
     """Cosine error of an axis read by a beam at the angle beta to its motion: E_a + kappa X_a, kappa = 1/cos(beta) -
     1 >= 0.
 
@@ -135,12 +140,14 @@ def cosine_effects(slot: str = "machine_point", prefix: str = "", groups: Sequen
 
     def cosine(a: int) -> Effect:
         return Effect("cosine", slot, lambda value, p: p.kappa * value[a] * _ALONG[a],
-                      (Parameter("kappa", "1", (0.5e-8, 1.25e-5), lower=0.0),), prefix + AXES[a], groups=confined, source=GUIDES)
+                      (Parameter("kappa", "1", (0.5e-8, 1.25e-5), lower=0.0),), prefix + AXES[a], groups=confined,
+                      source=GUIDES)
 
     return tuple(cosine(a) for a in range(3))
 
 
-def thermal_effect(slot: str = "machine_point", channel: str = "machine", groups: Sequence[str] | None = None) -> Effect:
+def thermal_effect(slot: str = "machine_point", channel: str = "machine",
+                   groups: Sequence[str] | None = None) -> Effect:
     """Expansion of all scales with temperature: E + coef (T - T_reference) X.
 
     slot, channel, groups: as of an Effect. Returns the effect, with input `temperature_difference` [K].
@@ -162,19 +169,24 @@ def example(seed: int) -> Problem:
     """
     side = np.linspace(-0.2, 0.2, 4)
     balls = np.array([[x, y, 0.0] for x in side for y in side])
-    level, front, flank = np.eye(3), np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0.0]]), np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0.0]])
+    level = np.eye(3)
+    front = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    flank = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     oblique = np.array([[0.5, -np.sqrt(0.5), 0.5], [0.5, np.sqrt(0.5), 0.5], [-np.sqrt(0.5), 0.0, np.sqrt(0.5)]])
     rotation = np.stack([level, front, flank, oblique, level])
-    translation = np.array([[0.1, 0.05, -0.2], [0.0, 0.2, 0.1], [-0.2, 0.1, 0.0], [0.05, -0.1, 0.05], [-0.15, -0.1, 0.25]])
-    plate = Pose("plate", rotation=rotation, translation=translation, unit="mm", keys=["level", "front", "flank", "oblique", "high"])
+    translation = np.array([[0.1, 0.05, -0.2], [0.0, 0.2, 0.1], [-0.2, 0.1, 0.0], [0.05, -0.1, 0.05],
+                            [-0.15, -0.1, 0.25]])
+    plate = Pose("plate", rotation=rotation, translation=translation, unit="mm",
+                 keys=["level", "front", "flank", "oblique", "high"])
     index = np.repeat(np.arange(5), len(balls))
     count = len(index)
     back_and_forth = np.where(np.arange(count) % 2, 1.0, -1.0)
     readings = Observations(
-        artefact_point, plate[index], balls[np.tile(np.arange(len(balls)), 5)], u=coordinate_uncertainty(1.2 * um, 3e-6, 0.3),
-        group="balls", unit="um", components=AXES,
+        artefact_point, plate[index], balls[np.tile(np.arange(len(balls)), 5)],
+        u=coordinate_uncertainty(1.2 * um, 3e-6, 0.3), group="balls", unit="um", components=AXES,
         covariates={"direction_x": back_and_forth, "direction_y": np.where(np.arange(count) % 3, 1.0, -1.0),
                     "direction_z": back_and_forth[::-1] * np.where(np.arange(count) % 5, 1.0, -1.0),
                     "abbe_x": (0.05 + 0.1 * (index % 3), "m"), "abbe_y": (0.2 - 0.1 * (index % 2), "m"),
                     "temperature_difference": (0.1 * index, "K")})
-    return simulate(Problem([readings], effects=effects(), name="ball plate on a coordinate measuring machine"), {}, seed)
+    problem = Problem([readings], effects=effects(), name="ball plate on a coordinate measuring machine")
+    return simulate(problem, {}, seed)

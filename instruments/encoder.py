@@ -21,7 +21,8 @@ POSITIONING = "ISO 230-2:2014, positioning accuracy and repeatability of numeric
 PERIOD = 2 * np.pi
 
 
-def head_reading(angle: Any, head: Any, zero: Any, sense: Any, *, disc_angle: Any = direct, encoder_reading: Any = direct) -> Any:
+def head_reading(angle: Any, head: Any, zero: Any, sense: Any, *, disc_angle: Any = direct,
+                 encoder_reading: Any = direct) -> Any:
     """Reading of one head of an encoder.
 
     angle: of the shaft [rad]; head: place of the head round the disc, from the first head [rad]; zero: reading at
@@ -60,7 +61,8 @@ def axis_angle_effects(slot: str, channel: str = "", lines: int | None = None) -
     """
     circle = (0.1 * arcsec, 60 * arcsec)
     subdivision = () if lines is None else (
-        influence.harmonic("subdivision", slot, lines, "arcsec", (0.02 * arcsec, 5 * arcsec), channel=channel, source=CIRCLE),)
+        influence.harmonic("subdivision", slot, lines, "arcsec", (0.02 * arcsec, 5 * arcsec), channel=channel,
+                           source=CIRCLE),)
     return (
         influence.harmonic("encoder_ecc", slot, 1, "arcsec", circle, channel=channel, source=CIRCLE),
         influence.harmonic("encoder_2nd", slot, 2, "arcsec", circle, channel=channel, source=CIRCLE),
@@ -100,11 +102,15 @@ def example(seed: int) -> Problem:
     def influences(rows: int) -> dict[str, Any]:
         time = np.arange(rows) * minute
         return {"time": (time, "s"), "temperature_difference": (0.6 * np.sin(2 * time / hour), "K"),
-                "direction": np.where(np.arange(rows) < rows // 2, 1.0, -1.0), "block": 1 + np.arange(rows) // (rows // 2 + 1)}
+                "direction": np.where(np.arange(rows) < rows // 2, 1.0, -1.0),
+                "block": 1 + np.arange(rows) // (rows // 2 + 1)}
 
-    against_known = Observations(indicated_angle, known, zero[0], np.ones(len(known)), u=0.2 * arcsec, group="known angles",
+    against_known = Observations(indicated_angle, known, zero[0], np.ones(len(known)), u=0.2 * arcsec,
+                                 group="known angles",
                                  unit="arcsec", period=PERIOD, covariates=influences(len(known)))
-    three_heads = Observations(head_reading, shaft[position], heads[head], zero[head], Shared(1.0), u=0.1 * arcsec, group="three heads",
+    three_heads = Observations(head_reading, shaft[position], heads[head], zero[head], Shared(1.0), u=0.1 * arcsec,
+                               group="three heads",
                                unit="arcsec", period=PERIOD, covariates=influences(len(position)))
-    problem = Problem([against_known, three_heads], effects=effects(blocks=(2,), lines=1024), name="encoder with three heads")
+    problem = Problem([against_known, three_heads], effects=effects(blocks=(2,), lines=1024),
+                      name="encoder with three heads")
     return simulate(problem, {}, seed)

@@ -73,14 +73,16 @@ def steps(slot: str, unit: str, plausible: Plausible, blocks: Sequence[int], *, 
     return tuple(step(int(first)) for first in blocks)
 
 
-def settling(slot: str, unit: str, plausible: Plausible, time_constant: float, *, source: str, channel: str = "") -> Effect:
+def settling(slot: str, unit: str, plausible: Plausible, time_constant: float, *, source: str,
+             channel: str = "") -> Effect:
     """Settling after a new seating: + start exp(-time_since_seating/time_constant).
 
     Arguments as for `drift`; time_constant [s] is known (a hypothesis), because the data see it only where `start` is
     not zero.
     Returns the effect, with input `time_since_seating` [s].
     """
-    return Effect("settling", slot, lambda value, p, time_since_seating: p.start * exp(-time_since_seating / time_constant),
+    return Effect("settling", slot,
+                  lambda value, p, time_since_seating: p.start * exp(-time_since_seating / time_constant),
                   (Parameter("start", unit, plausible),), channel, source=source)
 
 
@@ -91,7 +93,8 @@ def offset(name: str, slot: str, parameter: str, unit: str, plausible: Plausible
     name, parameter: how answers call it; the rest as for `drift`. Returns the effect, without inputs.
     """
     direction = _direction(along)
-    return Effect(name, slot, lambda value, p: p[0] * direction, (Parameter(parameter, unit, plausible),), channel, source=source)
+    return Effect(name, slot, lambda value, p: p[0] * direction, (Parameter(parameter, unit, plausible),), channel,
+                  source=source)
 
 
 def gain(name: str, slot: str, unit: str, plausible: Plausible, *, source: str, channel: str = "") -> Effect:
@@ -102,7 +105,8 @@ def gain(name: str, slot: str, unit: str, plausible: Plausible, *, source: str, 
     return Effect(name, slot, lambda value, p: p.k * value, (Parameter("k", unit, plausible),), channel, source=source)
 
 
-def harmonic(name: str, slot: str, order: int, unit: str, plausible: Plausible, *, source: str, channel: str = "") -> Effect:
+def harmonic(name: str, slot: str, order: int, unit: str, plausible: Plausible, *, source: str,
+             channel: str = "") -> Effect:
     """Periodic addition over the angle at a slot: + c cos(order angle) + s sin(order angle).
 
     name: how answers call it; order: waves per turn; the rest as for `drift`. Returns the effect, without inputs.

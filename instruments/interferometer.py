@@ -20,9 +20,10 @@ from calib.units import hour, metre, minute, mm, nm, ppm, um, urad
 
 from . import air, influence, stated
 
-FIELD = "ISO 230-2:2014, annex on measurement uncertainty, and Bobroff, Meas. Sci. Technol. 4 (1993) 907-926, displacement interferometry"
+FIELD = "Bobroff, Meas. Sci. Technol. 4 (1993) 907-926, recent advances in displacement measuring interferometry"
 ABBE = "Bryan, The Abbe principle revisited, Precision Engineering 1 (1979) 129-132"
-TRACKING = "Schwenke et al., Error mapping of CMMs and machine tools by a single tracking interferometer, CIRP Annals 54 (2005) 475-478"
+TRACKING = ("Schwenke et al., CIRP Annals 54 (2005) 475-478, error mapping of CMMs and machine tools by a single tracking "
+            "interferometer")
 HELIUM_NEON = 632.8 * nm
 
 
@@ -70,7 +71,8 @@ def tracking_in_motion(point: Any, velocity: Any, base: Any, start: Any, sense: 
     return tracking(point, base, start, sense, **slots)
 
 
-def stated_uncertainty(fixed: float, rate: float, length: ArrayLike, last_digit: float, coverage_factor: float = 2.0) -> stated.Lines:
+def stated_uncertainty(fixed: float, rate: float, length: ArrayLike, last_digit: float,
+                       coverage_factor: float = 2.0) -> stated.Lines:
     """Standard uncertainty of interferometer readings from a statement U = a + b L and the resolution.
 
     fixed: a [m]; rate: b [m/m], which holds wavelength, index and their common error; length: (n,) path length that
@@ -98,7 +100,8 @@ def cosine(slot: str, channel: str, source: str = FIELD) -> Effect:
     has no first-order effect. slot, channel, source: as of an Effect. Returns the effect; 0.1 mrad to 5 mrad are
     plausible.
     """
-    return Effect("cosine", slot, lambda value, p: -p.kappa * value, (Parameter("kappa", "1", (0.5e-8, 1.25e-5), lower=0.0),), channel,
+    return Effect("cosine", slot, lambda value, p: -p.kappa * value,
+                  (Parameter("kappa", "1", (0.5e-8, 1.25e-5), lower=0.0),), channel,
                   source=source)
 
 
@@ -126,7 +129,8 @@ def effects(blocks: Sequence[int] = (), wavelength: float = HELIUM_NEON) -> tupl
         influence.gain("scale", "displacement", "ppm", (0.05 * ppm, 20 * ppm), channel="d", source=FIELD),
         Effect("air_temperature", "displacement", lambda value, p: -p.error * air.PER_KELVIN * value,
                (Parameter("error", "K", (0.05, 5.0)),), "d", source=air.SOURCE),
-        Effect("dead_path", "length", lambda value, p, temperature_difference: p.l * air.PER_KELVIN * temperature_difference,
+        Effect("dead_path", "length",
+               lambda value, p, temperature_difference: p.l * air.PER_KELVIN * temperature_difference,
                (Parameter("l", "mm", (5 * mm, 2 * metre), lower=0.0),), "d", source=FIELD),
         cosine("length", "d"),
         cyclic("displacement", "d", wavelength),
@@ -161,7 +165,8 @@ def tracking_effects() -> tuple[Effect, ...]:
     return (
         Effect("base_wander", "length", lambda value, p, azimuth: p.c * cos(2 * azimuth) + p.s * sin(2 * azimuth),
                (Parameter("c", "um", wander), Parameter("s", "um", wander)), "d", source=TRACKING),
-        *(influence.drift("tracking_base", "um", (0.1 * um / hour, 50 * um / hour), channel=f"base_{axis}", along=direction, source=TRACKING)
+        *(influence.drift("tracking_base", "um", (0.1 * um / hour, 50 * um / hour), channel=f"base_{axis}",
+                          along=direction, source=TRACKING)
           for axis, direction in (("x", (1, 0, 0)), ("y", (0, 1, 0)), ("z", (0, 0, 1)))),
         Effect("time_sync", "length", lambda value, p, velocity, line: p.tau * dot(velocity, line),
                (Parameter("tau", "ms", (0.01e-3, 20e-3)),), "d", source=TRACKING),
@@ -178,12 +183,14 @@ def example(seed: int) -> Problem:
     run = np.linspace(0.0, 0.7, 8)
     zero = np.zeros_like(run)
     path = np.concatenate([np.stack(line, axis=1) for line in (
-        (run, zero, zero), (run[::-1], zero + 0.4, zero + 0.1), (zero + 0.7, run, zero), (zero, run[::-1], zero + 0.3), (zero, zero + 0.7, run),
+        (run, zero, zero), (run[::-1], zero + 0.4, zero + 0.1), (zero + 0.7, run, zero),
+        (zero, run[::-1], zero + 0.3), (zero, zero + 0.7, run),
         (zero + 0.7, zero + 0.7, run[::-1]))])
     forward = np.tile(np.repeat([1.0, -1.0], len(run)), 3)
     velocity = forward[:, None] * np.repeat(np.eye(3), 2 * len(run), axis=0) * 5 * mm
     count = len(path)
-    base, start = Unknown("base_point", np.array([0.5, 0.3, -0.6]), "mm", parts=("x", "y", "z")), Unknown("start", 0.8, "mm")
+    base = Unknown("base_point", np.array([0.5, 0.3, -0.6]), "mm", parts=("x", "y", "z"))
+    start = Unknown("start", 0.8, "mm")
     time = np.arange(count) * minute
     temperature = 0.4 * np.sin(3 * time / hour)
     tracker = Observations(
@@ -195,7 +202,8 @@ def example(seed: int) -> Problem:
     axis = Observations(
         displacement, there, line_start, np.ones(len(there)), u=0.1 * um, group="displacement", unit="um",
         covariates={"time": (time[:len(there)], "s"), "temperature_difference": (temperature[:len(there)], "K"),
-                    "direction": forward[:len(there)], "block": np.ones(len(there)), "abbe_offset": (np.full(len(there), 0.1), "m")})
+                    "direction": forward[:len(there)], "block": np.ones(len(there)),
+                    "abbe_offset": (np.full(len(there), 0.1), "m")})
     of_tracking = [replace(effect, groups=("tracking",)) for effect in effects(blocks=(2,))]
     problem = Problem([tracker, axis], effects=(*of_tracking, *displacement_effects(), *tracking_effects()),
                       name="interferometers on a machine")

@@ -25,10 +25,10 @@ from calib.units import arcsec, hour, minute, ppm, um
 
 from . import air, influence, stated
 
-GEOMETRY = ("Muralikrishnan et al., J. Res. NIST 114 (2009) 21-35, ASME B89.4.19 performance evaluation tests and geometric "
+GEOMETRY = ("Muralikrishnan et al., J. Res. NIST 114 (2009) 21-35, performance evaluation tests and geometric "
             "misalignments in laser trackers; Loser and Kyle, Boeing Large Scale Optical Metrology Seminar 1999")
 FIELD = "ISO 10360-10:2016, laser trackers: acceptance and reverification tests; magnitudes: bench experience"
-BENDING = "Bomford, Geodesy, 4th ed., Clarendon Press 1980: curvature of a line of sight in a vertical gradient of the index"
+BENDING = "Bomford, Geodesy, 4th ed., Clarendon Press 1980: curvature of a line of sight by a vertical gradient"
 PERIOD = (None, 2 * np.pi, None)
 
 
@@ -46,7 +46,8 @@ def polar_in_face(point: Any, face: Any, *, tracker_point: Any = direct, range: 
     level_distance = sqrt(seen[0] ** 2 + seen[1] ** 2)
     asked = {"distance": sqrt(level_distance ** 2 + seen[2] ** 2), "azimuth_angle": atan2(seen[1], seen[0]),
              "zenith_angle": atan2(level_distance, seen[2]), "face": face}
-    return (range(asked["distance"], **asked), azimuth(asked["azimuth_angle"], **asked), zenith(asked["zenith_angle"], **asked))
+    return (range(asked["distance"], **asked), azimuth(asked["azimuth_angle"], **asked),
+            zenith(asked["zenith_angle"], **asked))
 
 
 @hands_slots_to(polar_in_face)
@@ -69,7 +70,10 @@ def polar_from_station(tracker_from_world: Any, point: Any, **slots: Any) -> tup
 
 
 def cartesian(range: Any, azimuth: Any, zenith: Any) -> tuple[Any, Any, Any]:
-    """Cartesian coordinates that a controller reports for polar readings; range [m], angles [rad]. Returns x, y, z [m]."""
+    """Cartesian coordinates that a controller reports for polar readings.
+
+    range [m], azimuth, zenith angle [rad]. Returns x, y, z [m].
+    """
     return range * sin(zenith) * cos(azimuth), range * sin(zenith) * sin(azimuth), range * cos(zenith)
 
 
@@ -107,7 +111,8 @@ def cartesian_covariance(readings: ArrayLike, u: ArrayLike) -> np.ndarray:
     columns = np.stack(_three_columns(readings, "polar readings"))
     count = columns.shape[1]
     stacked = np.asarray(Function("derivative", [polar_symbols], [derivative]).map(count)(columns))
-    rows = stacked.reshape(3, count, 3).transpose(1, 0, 2) * np.broadcast_to(np.asarray(u, float), (count, 3))[:, None, :]
+    derivatives = stacked.reshape(3, count, 3).transpose(1, 0, 2)
+    rows = derivatives * np.broadcast_to(np.asarray(u, float), (count, 3))[:, None, :]
     return rows @ rows.transpose(0, 2, 1)
 
 
@@ -143,7 +148,8 @@ class PolarStatement:
         """
         distance, _, zenith = _three_columns(readings, "polar readings")
         transverse = (self.transverse_fixed + self.transverse_rate * distance) / distance
-        return np.column_stack([self.range_fixed + self.range_rate * distance, transverse / np.abs(np.sin(zenith)), transverse])
+        return np.column_stack([self.range_fixed + self.range_rate * distance, transverse / np.abs(np.sin(zenith)),
+                                transverse])
 
     def gaussian(self) -> Gaussian:
         """These uncertainties as a function of the readings of `polar`, for the `u` of Observations."""
@@ -181,7 +187,8 @@ def from_separate_statements(range_statement: tuple[float, float], transverse_st
     range_statement, transverse_statement: (a [m], b [m/m]); coverage_factor: k of both. Assumption: the transverse
     statement holds for each of the two directions across the beam. Returns the statement.
     """
-    values = [float(stated.from_expanded(value, coverage_factor)) for value in (*range_statement, *transverse_statement)]
+    values = [float(stated.from_expanded(value, coverage_factor))
+              for value in (*range_statement, *transverse_statement)]
     return PolarStatement(*values)
 
 
@@ -190,7 +197,10 @@ def _horizontal_direction(point: Any) -> Any:
 
 
 def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
-    """The effects of a laser tracker: those of its readings (`reading_effects`) and those of its base (`base_effects`)."""
+    """The effects of a laser tracker: those of its readings and those of its base.
+
+    blocks: blocks at which a step may have happened. Returns `reading_effects(blocks)` and `base_effects(blocks)`.
+    """
     return (*reading_effects(blocks), *base_effects(blocks))
 
 
@@ -203,7 +213,8 @@ def reading_effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
     """
     def each(function: Any, angle: tuple[float, float], length: tuple[float, float], *further: Any) -> list[Any]:
         return [function(slot, unit, plausible, *further, source=FIELD)
-                for slot, unit, plausible in (("range", "um", length), ("azimuth", "arcsec", angle), ("zenith", "arcsec", angle))]
+                for slot, unit, plausible in (("range", "um", length), ("azimuth", "arcsec", angle),
+                                              ("zenith", "arcsec", angle))]
 
     angle, beam = (0.2 * arcsec, 20 * arcsec), (1 * um, 100 * um)
     return (
@@ -212,24 +223,28 @@ def reading_effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
         Effect("air_temperature", "range", lambda value, p: -p.error * air.PER_KELVIN * value,
                (Parameter("error", "K", (0.1, 5.0)),), "range", source=air.SOURCE),
         Effect("air_gradient", "zenith",
-               lambda value, p, distance, zenith_angle: 0.5 * p.gradient * air.PER_KELVIN * distance * sin(zenith_angle),
+               lambda value, p, distance, zenith_angle:
+               0.5 * p.gradient * air.PER_KELVIN * distance * sin(zenith_angle),
                (Parameter("gradient", "K/m", (0.05, 3.0)),), "zenith", source=BENDING),
         Effect("transit_tilt", "azimuth", lambda value, p, zenith_angle, face: p.t * face / tan(zenith_angle),
                (Parameter("t", "arcsec", angle),), source=GEOMETRY),
         Effect("beam_tilt", "azimuth", lambda value, p, zenith_angle, face: p.c * face / sin(zenith_angle),
                (Parameter("c", "arcsec", angle),), source=GEOMETRY),
-        Effect("beam_offset", "azimuth", lambda value, p, distance, zenith_angle, face: p.o * face / (distance * sin(zenith_angle)),
+        Effect("beam_offset", "azimuth",
+               lambda value, p, distance, zenith_angle, face: p.o * face / (distance * sin(zenith_angle)),
                (Parameter("o", "um", beam),), source=GEOMETRY),
         Effect("beam_offset", "zenith", lambda value, p, distance, face: p.o * face / distance,
                (Parameter("o", "um", beam),), source=GEOMETRY),
         Effect("transit_offset", "tracker_point", lambda value, p, face: p.o * face * _horizontal_direction(value),
                (Parameter("o", "um", beam),), source=GEOMETRY),
-        Effect("vertical_index", "zenith", lambda value, p, face: p.i * face, (Parameter("i", "arcsec", angle),), source=GEOMETRY),
+        Effect("vertical_index", "zenith", lambda value, p, face: p.i * face, (Parameter("i", "arcsec", angle),),
+               source=GEOMETRY),
         *(influence.harmonic(name, slot, order, "arcsec", (0.1 * arcsec, 10 * arcsec), source=GEOMETRY)
           for name, order in (("encoder_ecc", 1), ("encoder_2nd", 2)) for slot in ("azimuth", "zenith")),
         *each(influence.drift, (0.1 * arcsec / hour, 20 * arcsec / hour), (0.5 * um / hour, 100 * um / hour)),
         *each(influence.thermal, (0.05 * arcsec, 5 * arcsec), (0.2 * um, 20 * um)),
-        *(step for steps in each(influence.steps, (0.2 * arcsec, 30 * arcsec), (1 * um, 200 * um), blocks) for step in steps),
+        *(step for steps in each(influence.steps, (0.2 * arcsec, 30 * arcsec), (1 * um, 200 * um), blocks)
+          for step in steps),
     )
 
 
@@ -241,10 +256,12 @@ def base_effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
     """
     axes = (("tracker_x", (1, 0, 0)), ("tracker_y", (0, 1, 0)), ("tracker_z", (0, 0, 1)))
     return (
-        *(influence.drift("tracker_point", "um", (1 * um / hour, 200 * um / hour), channel=channel, along=axis, source=FIELD)
+        *(influence.drift("tracker_point", "um", (1 * um / hour, 200 * um / hour), channel=channel, along=axis,
+                          source=FIELD)
           for channel, axis in axes),
         *(step for channel, axis in axes
-          for step in influence.steps("tracker_point", "um", (2 * um, 500 * um), blocks, channel=channel, along=axis, source=FIELD)),
+          for step in influence.steps("tracker_point", "um", (2 * um, 500 * um), blocks, channel=channel, along=axis,
+                                      source=FIELD)),
     )
 
 
@@ -258,7 +275,8 @@ def example(seed: int) -> Problem:
     grid = np.array([[x, y, z] for x in (1.5, 3.0, 4.0) for y, z in ((-1.5, -0.8), (0.2, 0.9), (1.8, -0.3))])
     points = Unknown("point", grid, "m", parts=("x", "y", "z"))
     turn = 2.2
-    second = Pose("second_station", rotation=np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]),
+    second = Pose("second_station",
+                  rotation=np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]),
                   translation=np.array([4.5, 4.0, 0.3]))
     count = len(grid)
     statement = from_separate_statements((1 * um, 0.5e-6), (15 * um, 6e-6))
@@ -268,11 +286,15 @@ def example(seed: int) -> Problem:
         return {"time": (time, "s"), "block": np.repeat([1, 2], [count // 2, count - count // 2]),
                 "temperature_difference": (0.5 * np.sin(3 * time / hour), "K")}
 
-    stated_u = {"u": statement.gaussian(), "components": ("range", "azimuth", "zenith"), "unit": ("um", "arcsec", "arcsec"),
+    stated_u = {"u": statement.gaussian(), "components": ("range", "azimuth", "zenith"),
+                "unit": ("um", "arcsec", "arcsec"),
                 "period": PERIOD}
     observations = [
         Observations(polar, points.each, group="front sight", covariates=influences(0), **stated_u),
-        Observations(polar_in_face, points.each, -np.ones(count), group="back sight", covariates=influences(count), **stated_u),
-        Observations(polar_from_station, second, points.each, group="second station", covariates=influences(2 * count), **stated_u),
+        Observations(polar_in_face, points.each, -np.ones(count), group="back sight", covariates=influences(count),
+                     **stated_u),
+        Observations(polar_from_station, second, points.each, group="second station",
+                     covariates=influences(2 * count), **stated_u),
     ]
-    return simulate(Problem(observations, effects=effects(blocks=(2,)), name="laser tracker on nine reflectors"), {}, seed)
+    return simulate(Problem(observations, effects=effects(blocks=(2,)), name="laser tracker on nine reflectors"), {},
+                    seed)

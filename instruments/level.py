@@ -43,7 +43,8 @@ def on_turning_axis(axis_tilt: Any, angle: Any, zero: Any, **slots: Any) -> Any:
     return indication(-axis_tilt[1] * cos(angle) + axis_tilt[0] * sin(angle), zero, **slots)
 
 
-def stated_uncertainty(limit_fixed: float, limit_share: float, reading: np.ndarray | float, resolution: float) -> stated.Lines:
+def stated_uncertainty(limit_fixed: float, limit_share: float, reading: np.ndarray | float,
+                       resolution: float) -> stated.Lines:
     """Standard uncertainty of level readings from a limit of error of the form fixed + share |reading|, and from the
     resolution.
 

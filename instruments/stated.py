@@ -87,9 +87,10 @@ def repeats(readings: ArrayLike) -> TypeA:
     """
     readings = np.asarray(readings, dtype=float)
     if readings.ndim == 0 or len(readings) < 2:
-        raise InputError("One reading has no scatter: a Type A evaluation needs two or more. State its uncertainty (Type B) instead.")
+        raise InputError("One reading has no scatter: a Type A evaluation needs two or more. State its uncertainty "
+                         "(Type B) instead.")
     if not np.all(np.isfinite(readings)):
-        raise InputError("A repeated reading is not a finite number. Remove it from the series by name, with the reason.")
+        raise InputError("A repeated reading is not a finite number. Leave it out by name, with the reason.")
     count = len(readings)
     return TypeA(readings.mean(axis=0), readings.std(axis=0, ddof=1) / np.sqrt(count), count - 1)
 

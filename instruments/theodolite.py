@@ -62,7 +62,8 @@ def circles(line: Any, face: Any, zero: Any, sense: Any, *, sight_line: Any = di
     """
     seen = sight_line(line, distance=sqrt(line[0] ** 2 + line[1] ** 2 + line[2] ** 2))
     level_distance = sqrt(seen[0] ** 2 + seen[1] ** 2)
-    return _circles(atan2(seen[1], seen[0]), atan2(level_distance, seen[2]), atan2(seen[2], level_distance), face, zero, sense,
+    return _circles(atan2(seen[1], seen[0]), atan2(level_distance, seen[2]), atan2(seen[2], level_distance), face,
+                    zero, sense,
                     standing_axis, horizontal, zenith, horizontal_circle, vertical_circle)
 
 
@@ -104,7 +105,8 @@ def stated_uncertainty(deviation_of_two_faces: float, resolution: float) -> stat
     reading scatters sqrt(2) times as much.
     Returns the lines `repeatability` and `resolution` [rad]. Source: ISO 17123-3:2001; JCGM 100:2008, F.2.2.1.
     """
-    return stated.Lines({"repeatability": np.sqrt(2.0) * deviation_of_two_faces, "resolution": stated.resolution(resolution)})
+    return stated.Lines({"repeatability": np.sqrt(2.0) * deviation_of_two_faces,
+                         "resolution": stated.resolution(resolution)})
 
 
 def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
@@ -120,18 +122,23 @@ def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
                                           (influence.thermal, (0.05 * arcsec, 5 * arcsec)),
                                           (influence.hysteresis, (0.1 * arcsec, 10 * arcsec)))]
     steps = [step for slot, channel in (("horizontal", "H"), ("zenith", "V"))
-             for step in influence.steps(slot, "arcsec", (0.2 * arcsec, 60 * arcsec), blocks, channel=channel, source=FIELD)]
+             for step in influence.steps(slot, "arcsec", (0.2 * arcsec, 60 * arcsec), blocks, channel=channel,
+                                         source=FIELD)]
     return (
-        influence.offset("vertical_index", "vertical_circle", "i", "arcsec", (0.5 * arcsec, 60 * arcsec), channel="V", source=AXES),
+        influence.offset("vertical_index", "vertical_circle", "i", "arcsec", (0.5 * arcsec, 60 * arcsec), channel="V",
+                         source=AXES),
         Effect("collimation", "horizontal", lambda value, p, elevation, face: face * p.c / cos(elevation),
                (Parameter("c", "arcsec", (0.5 * arcsec, 60 * arcsec)),), "H", source=AXES),
         Effect("trunnion_tilt", "horizontal", lambda value, p, elevation, face: face * p.t * tan(elevation),
                (Parameter("t", "arcsec", (0.5 * arcsec, 30 * arcsec)),), "H", source=AXES),
         Effect("standing_axis_tilt", "standing_axis", lambda value, p: DM([1, 0]) * p.x + DM([0, 1]) * p.y,
-               (Parameter("x", "arcsec", (0.2 * arcsec, 60 * arcsec)), Parameter("y", "arcsec", (0.2 * arcsec, 60 * arcsec))),
+               (Parameter("x", "arcsec", (0.2 * arcsec, 60 * arcsec)),
+                Parameter("y", "arcsec", (0.2 * arcsec, 60 * arcsec))),
                source=AXES),
-        influence.harmonic("circle_eccentricity", "horizontal_circle", 1, "arcsec", (0.2 * arcsec, 20 * arcsec), channel="H", source=AXES),
-        influence.harmonic("circle_eccentricity", "vertical_circle", 1, "arcsec", (0.2 * arcsec, 20 * arcsec), channel="V", source=AXES),
+        influence.harmonic("circle_eccentricity", "horizontal_circle", 1, "arcsec", (0.2 * arcsec, 20 * arcsec),
+                           channel="H", source=AXES),
+        influence.harmonic("circle_eccentricity", "vertical_circle", 1, "arcsec", (0.2 * arcsec, 20 * arcsec),
+                           channel="V", source=AXES),
         *shared, *steps,
     )
 
@@ -145,7 +152,8 @@ def example(seed: int) -> Problem:
     azimuth = np.array([0.0, 50.0, 100.0, 155.0, 200.0, 260.0, 310.0]) * degree
     elevation = np.array([5.0, 35.0, -20.0, 50.0, -5.0, 20.0, -35.0]) * degree
     distance = np.array([3.0, 4.0, 2.5, 5.0, 8.0, 6.0, 3.5])
-    toward = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=1)
+    toward = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)],
+                      axis=1)
     targets = Direction("target", toward, keys=[f"P{i}" for i in range(1, 8)])
     index = np.concatenate([np.arange(7), np.arange(7)[::-1]] * 2)
     count = len(index)
@@ -160,9 +168,11 @@ def example(seed: int) -> Problem:
         circles, targets[index], face, Shared(np.zeros(2)), Shared(np.array([-1.0, 1.0])),
         u=pointing((1.0 * arcsec, 1.0 * arcsec), distance[index], elevation[index], 5e-6), group="targets",
         unit="arcsec", components=("H", "V"), period=PERIOD, covariates=influences(count))
-    horizontal_angle, zenith_angle = Unknown("mark_horizontal", 0.3, "deg"), Unknown("mark_zenith", 89.5 * degree, "deg")
+    horizontal_angle, zenith_angle = Unknown("mark_horizontal", 0.3, "deg"), Unknown("mark_zenith", 89.5 * degree,
+                                                                                     "deg")
     faces = np.tile([1.0, -1.0], 4)
-    mark = Observations(face_readings, horizontal_angle, zenith_angle, Shared(0.5 * degree), faces, u=1.0 * arcsec, group="mark",
+    mark = Observations(face_readings, horizontal_angle, zenith_angle, Shared(0.5 * degree), faces, u=1.0 * arcsec,
+                        group="mark",
                         unit="arcsec", components=("H", "V"), period=PERIOD, covariates=influences(len(faces)))
     problem = Problem([round_of_targets, mark], effects=effects(blocks=(2,)), name="theodolite on targets")
     return simulate(problem, {}, seed)

@@ -23,7 +23,8 @@ PLATINUM = "IEC 60751:2022, industrial platinum resistance thermometers and plat
 PRACTICE = "Nicholas and White, Traceable Temperatures, 2nd ed., Wiley 2001"
 ZERO_CELSIUS = 273.15            # K
 CALLENDAR_VAN_DUSEN = (3.9083e-3, -5.775e-7, -4.183e-12)         # A [1/K], B [1/K^2], C [1/K^4] of IEC 60751
-_TOLERANCES = {"AA": (0.1, 0.0017), "A": (0.15, 0.002), "B": (0.3, 0.005), "C": (0.6, 0.01)}   # K and K/K of |t|, IEC 60751
+_TOLERANCES = {"AA": (0.1, 0.0017), "A": (0.15, 0.002), "B": (0.3, 0.005),
+               "C": (0.6, 0.01)}   # K and K/K of |t|, IEC 60751
 
 
 def indication(temperature: Any, *, sensor: Any = direct, temperature_reading: Any = direct) -> Any:
@@ -36,7 +37,8 @@ def indication(temperature: Any, *, sensor: Any = direct, temperature_reading: A
     return temperature_reading(sensor(temperature), temperature=temperature)
 
 
-def resistance(temperature: Any, resistance_at_zero: Any, *, sensor: Any = direct, resistance_reading: Any = direct) -> Any:
+def resistance(temperature: Any, resistance_at_zero: Any, *, sensor: Any = direct,
+               resistance_reading: Any = direct) -> Any:
     """Resistance of a platinum sensor.
 
     temperature: of the medium, -200 to 850 degC [K]; resistance_at_zero: R0 at 0 degC, in any unit of resistance.
@@ -47,7 +49,8 @@ def resistance(temperature: Any, resistance_at_zero: Any, *, sensor: Any = direc
     a, b, c = CALLENDAR_VAN_DUSEN
     t = sensor(temperature) - ZERO_CELSIUS
     below = fmin(t, 0)
-    return resistance_reading(resistance_at_zero * (1 + a * t + b * t**2 + c * (below - 100) * below**3), temperature=temperature)
+    return resistance_reading(resistance_at_zero * (1 + a * t + b * t**2 + c * (below - 100) * below**3),
+                              temperature=temperature)
 
 
 def tolerance_uncertainty(tolerance_class: str, temperature: ArrayLike) -> np.ndarray:
@@ -74,7 +77,8 @@ def effects(blocks: Sequence[int] = (), reference_temperature: float = 293.15) -
     """
     return (
         influence.offset("zero_offset", "sensor", "o", "K", (1e-3, 1.0), source=PRACTICE),
-        Effect("gain", "sensor", lambda value, p: p.k * (value - reference_temperature), (Parameter("k", "1", (1e-5, 0.02)),), source=PRACTICE),
+        Effect("gain", "sensor", lambda value, p: p.k * (value - reference_temperature),
+               (Parameter("k", "1", (1e-5, 0.02)),), source=PRACTICE),
         Effect("lag", "sensor", lambda value, p, temperature_rate: -p.tau * temperature_rate,
                (Parameter("tau", "s", (0.5, 600.0), lower=0.0),), source=PRACTICE),
         Effect("self_heating", "sensor", lambda value, p, current_squared: p.h * current_squared,
@@ -98,12 +102,16 @@ def example(seed: int) -> Problem:
     index = np.repeat(np.arange(len(levels)), 3)
     count = len(index)
     bath, at_zero = Unknown("bath", levels[:, None], "K"), Unknown("resistance_at_zero", 100.0, "1")
-    covariates = {"time": (np.arange(count) * 10 * minute, "s"), "direction": np.where(index < 5, 1.0, -1.0), "block": 1 + (index > 4),
-                  "temperature_rate": (np.where(np.arange(count) % 3 == 0, 1e-4, 0.0) * np.where(index < 5, 1, -1), "K/s"),
+    covariates = {"time": (np.arange(count) * 10 * minute, "s"), "direction": np.where(index < 5, 1.0, -1.0),
+                  "block": 1 + (index > 4),
+                  "temperature_rate": (np.where(np.arange(count) % 3 == 0, 1e-4, 0.0) * np.where(index < 5, 1, -1),
+                                       "K/s"),
                   "current_squared": np.where(np.arange(count) % 3 == 2, 2.0, 1.0),
                   "ambient": (294.0 + 0.3 * np.sin(np.arange(count)), "K")}
     reference = Observations(indication, bath[index], u=2e-3 * kelvin, group="reference", unit="K")
-    under_test = Observations(indication, bath[index], u=5e-3 * kelvin, group="thermometer", unit="K", covariates=covariates)
+    under_test = Observations(indication, bath[index], u=5e-3 * kelvin, group="thermometer", unit="K",
+                              covariates=covariates)
     platinum = Observations(resistance, bath[index], at_zero, u=1e-3, group="platinum", unit="1")
     candidates = [replace(effect, groups=("thermometer",)) for effect in effects(blocks=(2,))]
-    return simulate(Problem([reference, under_test, platinum], effects=candidates, name="thermometers in a bath"), {}, seed)
+    return simulate(Problem([reference, under_test, platinum], effects=candidates, name="thermometers in a bath"), {},
+                    seed)
