@@ -149,7 +149,6 @@ def _pairwise(points: Array, begin: SpaceCircle | None, name: str, difference: C
     begin = start(points) if begin is None else begin
     centre = Unknown("centre", begin.centre, unit="mm", parts=("x", "y", "z"))
     plane = Unknown("plane", np.append(begin.normal, -begin.normal @ begin.centre), parts=("A", "B", "C", "D"))
-    plane.units = ("1", "1", "1", "mm")
     count = len(points) * (len(points) - 1) // 2
     pairs = Observations(difference, *rows, centre, readings=np.zeros(count), u=np.broadcast_to(u_pairs, (count,)),
                          group="pairs", unit="mm" if difference is distance_difference else "mm^2")

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from calib.job import Job
     from calib.settings import Settings
     from calib.table import Table
+    from calib.workflow.reproduce import Reproduction
 
 Array = NDArray[np.float64]
 
@@ -114,8 +115,9 @@ def declare(command: ArrayLike, readings: ArrayLike, u: ArrayLike | Gaussian, re
 
     command: (n,) commanded angles [rad], not reduced modulo a turn; readings: (n, 3) range [m], azimuth, zenith angle
     [rad]; u: their standard uncertainties (3,) or (n, 3), or a Gaussian; reflectors: (n,) names, reflector 1
-    first; axis: (3,) approximate direction with its sense; stops: (n,) number of the stop, from 0, where the positioning
-    error of every stop is wanted (unknown `deviation`, zero by definition at stop 0), or None for a table that obeys.
+    first; axis: (3,) approximate direction with its sense; stops: (n,) number of the stop, from 0, where the
+    positioning error of every stop is wanted (unknown `deviation`, zero by definition at stop 0), or None for a table
+    that obeys.
     covariates: time [s], direction, temperature_difference [K], block, each (n,); rows: (n,) row numbers of the file.
     Raises InputError where the readings of a reflector do not make a circle.
     """
@@ -288,3 +290,15 @@ def example_job(seed: int) -> dict[str, str]:
                     'sigma_zenith_arcsec = 1.0\n\n[options]\npositioning = true\naxis_direction = [0.0, 0.0, 1.0]\n\n'
                     '[report]\nquantities = ["deviation"]\n',
         "points.csv": f"# source: simulated, seed {seed}\n{header}\n" + "\n".join(lines) + "\n"}
+
+
+# --- the published comparison ------------------------------------------------------------------------------------
+
+published = "turntable"
+
+
+def reproduce() -> Reproduction:
+    """Every printed number of the paper beside what its own tables give: see `problems.turntable_published`."""
+    from problems import turntable_published
+
+    return turntable_published.reproduce()
