@@ -123,7 +123,7 @@ class Convex(Method):
         multiplier, pressed = dual.value.copy(), np.zeros(len(active))
         if pushes.shape[1]:
             system, right = pushes, -pull
-            if dual.total is not None:      # magnitudes add up to the total: one more equation
+            if dual.total is not None:      # where there is a loss, magnitudes reach the total
                 total = np.zeros(pushes.shape[1])
                 total[:len(open_rows)] = np.sign(residual[open_rows])
                 system, right = np.vstack([pushes, total]), np.append(right, dual.total)
@@ -132,7 +132,7 @@ class Convex(Method):
             pressed = found[len(open_rows) + len(limits.target):]
             pull = pull + pushes @ found
         if dual.total is not None:
-            size = float(np.abs(multiplier).sum())
+            size = max(float(np.abs(multiplier).sum()) / dual.total, 1.0)
             multiplier, pressed, pull = multiplier / size, pressed / size, pull / size
         value = self.loss.value(residual)
         _, basis = _within(limits.fixed, limits.target)
@@ -144,15 +144,11 @@ class Convex(Method):
         return float(max(gap, 0.0) / max(value, 1.0)), self._is_unique(derivatives, residual, limits)
 
     def _is_unique(self, derivatives: Array, residual: Array, limits: _Limits) -> bool:
-        """Whether the residuals that are zero or largest leave no direction free (L1 and minimum zone only)."""
-        dual = self.loss.dual(residual)
-        open_rows = dual.low < dual.high
-        if not np.any(open_rows):
-            return True
-        rows = derivatives[open_rows]
-        if dual.total is not None:
-            rows = np.sign(residual[open_rows])[:, None] * rows
-            rows = np.column_stack([rows, np.ones(len(rows))])
+        """Whether the residuals that hold the answer leave no direction free."""
+        held = self.loss.holding(residual)
+        rows = derivatives[held]
+        if self.loss.dual(residual).total is not None:
+            rows = np.column_stack([np.sign(residual[held])[:, None] * rows, np.ones(len(rows))])
         holds = np.concatenate([limits.fixed, limits.above[limits.room <= 1e-6]])
         holds = np.column_stack([holds, np.zeros((len(holds), rows.shape[1] - holds.shape[1]))])
         return int(np.linalg.matrix_rank(np.concatenate([rows, holds]), tol=1e-9)) == rows.shape[1]

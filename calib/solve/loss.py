@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.blocks import Array
 
@@ -20,7 +21,7 @@ class Dual:
     value: Array
     low: Array
     high: Array
-    total: float | None = None      # what their magnitudes add up to, where that is prescribed
+    total: float | None = None      # what their magnitudes add up to at most, where that is limited
 
 
 class Loss(ABC):
@@ -43,6 +44,10 @@ class Loss(ABC):
     @abstractmethod
     def dual(self, residual: Array) -> Dual:
         """Multipliers that may belong to residuals."""
+
+    @abstractmethod
+    def holding(self, residual: Array) -> NDArray[np.bool_]:
+        """Which residuals (N,) hold the answer: where they pin all unknowns, there is no other of the same loss."""
 
     @abstractmethod
     def reach(self, value: float, count: int) -> float:
@@ -71,6 +76,9 @@ class LeastSquares(Loss):
 
     def dual(self, residual: Array) -> Dual:
         return Dual(residual, residual, residual)
+
+    def holding(self, residual: Array) -> NDArray[np.bool_]:
+        return np.ones(len(residual), dtype=bool)
 
     def reach(self, value: float, count: int) -> float:
         return 2.0 * np.sqrt(2.0 * value)
@@ -103,6 +111,9 @@ class Huber(Loss):
         pull = np.clip(residual, -self.threshold, self.threshold)
         return Dual(pull, pull, pull)
 
+    def holding(self, residual: Array) -> NDArray[np.bool_]:
+        return np.abs(residual) < self.threshold
+
     def reach(self, value: float, count: int) -> float:
         return 2.0 * (value / self.threshold + 0.5 * count * self.threshold)
 
@@ -134,15 +145,17 @@ class L1(Loss):
         return 0.0
 
     def dual(self, residual: Array) -> Dual:
-        met = np.abs(residual) <= ON_THE_EDGE
-        sign = np.sign(residual)
+        met, sign = self.holding(residual), np.sign(residual)
         return Dual(np.where(met, 0.0, sign), np.where(met, -1.0, sign), np.where(met, 1.0, sign))
+
+    def holding(self, residual: Array) -> NDArray[np.bool_]:
+        return np.abs(residual) <= ON_THE_EDGE
 
     def reach(self, value: float, count: int) -> float:
         return 2.0 * value
 
     def refined(self, derivatives: Array, residual: Array) -> Array:
-        met = np.abs(residual) <= ON_THE_EDGE
+        met = self.holding(residual)
         return np.asarray(np.linalg.lstsq(derivatives[met], residual[met], rcond=None)[0], float)
 
 
@@ -161,14 +174,17 @@ class MinimumZone(Loss):
         return 0.0
 
     def dual(self, residual: Array) -> Dual:
-        sign = np.where(np.abs(residual) >= self.value(residual) - ON_THE_EDGE, np.sign(residual), 0.0)
+        sign = np.where(self.holding(residual), np.sign(residual), 0.0)
         return Dual(np.zeros_like(residual), np.minimum(sign, 0.0), np.maximum(sign, 0.0), total=1.0)
+
+    def holding(self, residual: Array) -> NDArray[np.bool_]:
+        return np.abs(residual) >= self.value(residual) - ON_THE_EDGE
 
     def reach(self, value: float, count: int) -> float:
         return 2.0 * value * float(np.sqrt(count))
 
     def refined(self, derivatives: Array, residual: Array) -> Array:
-        largest = np.abs(residual) >= self.value(residual) - ON_THE_EDGE
+        largest = self.holding(residual)
         sign = np.sign(residual[largest])
         # all largest residuals are one half-width: unknowns are the step and its change
         system = np.column_stack([sign[:, None] * derivatives[largest], np.ones(len(sign))])
