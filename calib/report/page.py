@@ -64,11 +64,11 @@ def html(solution: Solution, provenance: Provenance) -> str:
         redundancy=_redundancy(solution),
         reliability=_reliability(solution),
         budgets=list(_budgets(solution)),
-        more_budgets=_more_budgets(solution),
         components=_components(solution),
         components_refused=solution.components_refused,
         correlation=_correlation(solution),
-        unknowns=_unknowns(solution),
+        unknowns=_unknowns(solution, held=False),
+        held=_unknowns(solution, held=True),
         provenance=_provenance(provenance, solution),
     )
 
@@ -204,7 +204,8 @@ def _suspects(solution: Solution) -> Grid | None:
         where = [str(reliability.group[i]), str(reliability.row[i]), str(reliability.component[i])]
         test = [numbers.plain(reliability.w[i], 3), numbers.probability(reliability.p_value[i])]
         rows.append([*where, residual, u, str(reliability.unit[i]), *test])
-    return Grid(["group", "row", "component", "residual", "u", "unit", "w", "p"], rows) if rows else None
+    header = ["group", "row", "component", "residual", "u", "unit", "w", "p"]
+    return Grid(header, rows).without_empty() if rows else None
 
 
 def _redundancy(solution: Solution) -> Drawing:
@@ -229,28 +230,32 @@ def _reliability(solution: Solution) -> Grid:
                          numbers.plain(float(r.min()), 2), numbers.plain(float(np.median(mdb)), 3),
                          numbers.plain(float(mdb.max()), 3), unit])
     header = ["group", "component", "readings", "mean redundancy", "smallest", "median mdb", "largest mdb", "unit"]
-    return Grid(header, rows)
+    return Grid(header, rows).without_empty()
 
 
 def _budgets(solution: Solution) -> Iterator[dict[str, Any]]:
-    for one in solution.budgets[:DRAWN_BUDGETS]:
-        scale = units.factor(one.unit)
-        u = numbers.with_uncertainty(0.0, one.u / scale)[1]
-        title = f"{one.name}: u = {u or '0'} {one.unit}"
-        if len(one.contributions) < 2:
-            source = one.contributions[0].label if one.contributions else "nothing"
-            yield {"title": title, "figure": None, "sentence": f"All of it comes from {source}."}
+    """Drawings of the budgets that have more than one source; the rest share a sentence."""
+    alone: dict[str, list[str]] = {}
+    drawn = 0
+    for one in solution.budgets:
+        sources = one.contributions
+        if len(sources) < 2:
+            alone.setdefault(sources[0].label if sources else "nothing (it is fixed)", []).append(one.name)
             continue
-        shown = one.contributions[:12]
+        drawn += 1
+        if drawn > DRAWN_BUDGETS:
+            continue
+        scale = units.factor(one.unit)
+        shown = sources[:12]
         figure = plots.budget([line.label for line in shown], [line.u / scale for line in shown], one.unit)
         shares = ", ".join(f"{line.label} {100 * line.share:.0f} %" for line in shown[:4])
-        yield {"title": title, "sentence": "",
+        yield {"title": f"{one.name}: u = {numbers.with_uncertainty(0.0, one.u / scale)[1]} {one.unit}", "sentence": "",
                "figure": Drawing.of(figure, f"budget {one.name}", f"Shares of the variance: {shares}")}
-
-
-def _more_budgets(solution: Solution) -> str:
-    left = len(solution.results.names) - DRAWN_BUDGETS
-    return f"The budgets of the other {left} results stand in result.json." if left > 0 else ""
+    for source, names in alone.items():
+        listed = ", ".join(names[:ANSWERS]) + (" …" if len(names) > ANSWERS else "")
+        yield {"title": "", "figure": None, "sentence": f"All of the uncertainty of {listed} comes from {source}."}
+    if drawn > DRAWN_BUDGETS:
+        yield {"title": "", "figure": None, "sentence": f"{drawn - DRAWN_BUDGETS} more budgets stand in result.json."}
 
 
 def _components(solution: Solution) -> Grid | None:
@@ -273,14 +278,15 @@ def _correlation(solution: Solution) -> Drawing | None:
     return Drawing.of(plots.correlation(results.names, results.correlation), "correlation", "Correlation coefficients")
 
 
-def _unknowns(solution: Solution) -> Grid:
+def _unknowns(solution: Solution, held: bool) -> Grid:
     rows = []
     for entry in unknown_entries(solution):
+        if entry["held"] != held:
+            continue
         shown, u = numbers.with_uncertainty(entry["value"], entry["u"])
         part = "" if entry["part"] is None else entry["part"]
-        rows.append([entry["name"], entry["instance"] or "", part, shown, u or ("held" if entry["held"] else "–"),
-                     entry["unit"]])
-    return Grid(["unknown", "instance", "part", "value", "u", "unit"], rows)
+        rows.append([entry["name"], entry["instance"] or "", part, shown, u or "–", entry["unit"]])
+    return Grid(["unknown", "instance", "part", "value", "u", "unit"], rows).without_empty()
 
 
 def _provenance(provenance: Provenance, solution: Solution) -> list[tuple[str, str]]:

@@ -149,13 +149,14 @@ def correlation(names: Sequence[str], matrix: np.ndarray) -> Figure:
     return: the figure.
     """
     size = len(names)
-    figure, axes = canvas(0.9 + 0.36 * size)
+    figure, axes = canvas(1.2 + 0.32 * size)
     for i in range(size):
         for j in range(i + 1):
             value = float(matrix[i, j])
             colour = SERIES[0] if value >= 0 else SERIES[1]
             axes.add_patch(_square(j, i, colour, abs(value)))
-            axes.text(j, i, f"{value:.2f}".replace("-", "−"), ha="center", va="center", fontsize=8, color=INK)
+            number = f"{value:.2f}".replace("-0.00", "0.00").replace("-", "−")
+            axes.text(j, i, number, ha="center", va="center", fontsize=8, color=INK)
     axes.set_xlim(-0.5, size - 0.5)
     axes.set_ylim(size - 0.5, -0.5)
     axes.set_yticks(range(size), names)

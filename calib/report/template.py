@@ -30,6 +30,11 @@ class Grid:
     header: Sequence[str]
     rows: Sequence[Sequence[str | Cell]]
 
+    def without_empty(self) -> Grid:
+        """The same table without the columns in which nothing stands."""
+        kept = [i for i in range(len(self.header)) if any(row[i] for row in self.rows)]
+        return Grid([self.header[i] for i in kept], [[row[i] for i in kept] for row in self.rows])
+
 
 @dataclass(frozen=True)
 class Drawing:
