@@ -13,18 +13,34 @@ A filament has no height to point at and is seen in the horizontal circle only.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from casadi import atan2, cos, sin, sqrt, vertcat
 from numpy.typing import ArrayLike
 
-from calib import Effect, Observations, Parameter, Problem, Quantity, Unknown, direct, hands_slots_to, prior
+from calib import (
+    Effect,
+    Linearisation,
+    Observations,
+    Parameter,
+    Problem,
+    Quantity,
+    Unknown,
+    VarianceComponents,
+    covariance,
+    direct,
+    hands_slots_to,
+    prior,
+    simulate,
+)
 from calib.errors import InputError
-from calib.units import arcsec, um
+from calib.job import Job
+from calib.units import arcsec, degree, minute, mm, um
 from instruments import theodolite
 
-PAPER = "Ren, Gao, Zhao (2015), J. Harbin Inst. Tech. 47(10), eq (4)-(7)"
+accepts = ("problems.axis_points", "theodolite_target")
+source = "Ren, Gao, Zhao (2015), J. Harbin Inst. Tech. 47(10), eq (4)-(7)"
 RUNOUT = "ISO 230-7:2015, radial error motion of an axis of rotation"
 
 
@@ -208,6 +224,42 @@ def difference(seen_by_horizontal: Any, seen_by_vertical: Any) -> Any:
     return seen_by_horizontal - seen_by_vertical
 
 
+class Agreement(NamedTuple):
+    """Whether two circles see one eccentricity: T, its p-value by the stated u and by the scatter found, the
+    verdict.
+    """
+
+    target: str
+    statistic: float
+    p_stated: float
+    p_scatter: float
+    accepted: bool
+
+
+def sharing(
+    fit: Linearisation, scatter: VarianceComponents, name: str = "circle difference", level: float = 0.01
+) -> tuple[Agreement, ...]:
+    """Test for each target whether both circles may share r and phase.
+
+    fit: of a problem that does not share them, with the difference (a, b) as the quantity `name`; scatter: its variance
+    components; level: of the test. Returns one line for each target: T = d' C^-1 d is chi-squared with 2 degrees of
+    freedom where the stated uncertainties hold; T/2 with the estimated components is F(2, dof), and that decides,
+    because a scatter above the stated one would refuse what the readings cannot tell.
+    Source: Koch, Parameter Estimation and Hypothesis Testing in Linear Models, Springer 1999, section 4.2.
+    """
+    stated, found = covariance(fit, name), covariance(scatter.rescaled(fit), name)
+    lines = []
+    for i in range(0, len(stated.names), 2):
+        target = stated.names[i].partition("[")[2].partition("]")[0]
+        d, pair = stated.values[i : i + 2], slice(i, i + 2)
+        t, t_found = (float(d @ np.linalg.solve(c.matrix[pair, pair], d)) for c in (stated, found))
+        group = next(g for g in fit.groups if target in g.covariates.get("target", ()))
+        dof = float(scatter.dof[scatter.names.index(group.name)])
+        p_found = (1.0 + t_found / dof) ** (-dof / 2.0)
+        lines.append(Agreement(target, t, float(np.exp(-t / 2.0)), p_found, p_found >= level))
+    return tuple(lines)
+
+
 def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
     """What may be missing: the effects of the theodolite, and a motion of the axis twice per turn.
 
@@ -225,3 +277,95 @@ def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
         source=RUNOUT,
     )
     return (*theodolite.effects(blocks), motion)
+
+
+def from_job(job: Job) -> Problem:
+    """The problem of a job, or of a case of scenario `theodolite_target`.
+
+    Columns of [data.circles] (or measurements.csv): target, angle, H, V; where there are: face (1 or 2), direction,
+    block, time, temp. [[known.targets]]: id, L, elevation. The instrument gives u_H, u_V (a case: sigma_H, sigma_V);
+    [options] shared lists the targets whose circles share r and phase (all if not given), u_distance.
+    Raises InputError where something is missing.
+    """
+    case = "measurements" in job.tables
+    data = job.table("measurements" if case else "circles")
+    instrument = job.instruments.table("theodolite") if case else job.instrument("circles")
+    stated = "sigma" if case else "u"
+    targets = {one.text("id"): one for one in job.known.tables("targets")}
+    covariates: dict[str, Any] = {}
+    if data.has("time"):
+        time = data.number("time", "time")
+        covariates["time"] = (time - time[0], "s")
+    if data.has("temp"):
+        reference = job.known.quantity("reference_temperature", "temperature", 293.15)
+        covariates["temperature_difference"] = (data.number("temp", "temperature") - reference, "K")
+    for name in ("direction", "block", "sweep"):
+        if data.has(name):
+            covariates[name] = data.whole(name)
+    face = np.ones(len(data))
+    if data.has("face"):
+        face = data.whole("face")
+        for row in np.flatnonzero((face != 1) & (face != 2)):
+            raise
+            InputError(f"{data.place(int(row), data.column('face'))}: face {face[row]} is neither 1 nor 2; correct it")
+        face = np.where(face == 1, 1.0, -1.0)
+    problem = declare(
+        np.stack([data.number("H", "angle"), data.number("V", "angle")], axis=1),
+        data.text("target"),
+        data.number("angle", "angle"),
+        distance={key: one.quantity("L", "length") for key, one in targets.items()},
+        elevation={key: one.quantity("elevation", "angle", 0.0) for key, one in targets.items()},
+        u=[instrument.quantity(f"{stated}_{circle}", "angle") for circle in "HV"],
+        face=face,
+        shared=job.options.texts("shared", None),
+        u_distance=job.options.quantity("u_distance", "length", 0.0),
+        covariates=covariates,
+        rows=data.row_numbers,
+    )
+    blocks = sorted(set(covariates.get("block", [])))[1:]
+    return problem.with_effects(*_usable(effects(blocks), problem, face))
+
+
+def _usable(found: Sequence[Effect], problem: Problem, face: np.ndarray) -> tuple[Effect, ...]:
+    """The effects whose inputs are there, and which the format names.
+
+    On one face alone the index, the collimation and the trunnion axis are part of the centres, and are left as
+    candidates that say so; the standing axis and the circle eccentricity are seen only over a wide field, which one
+    axis never fills.
+    """
+    names = {*problem.observations[0].covariates, "angle", "face", "elevation", "horizontal_angle", "zenith_angle"}
+    wide = ("standing_axis_tilt", "circle_eccentricity")
+    return tuple(e for e in found if set(e.inputs) <= names and e.name not in wide)
+
+
+def example(seed: int) -> Problem:
+    """Three targets on a pitch axis over a half turn, both faces, two set-ups; simulated readings.
+
+    seed: of the noise. Returns the problem with its effects as held candidates.
+    """
+    ids, sweep = ("A", "B", "C"), np.arange(0.0, 181.0, 20.0) * degree
+    target = np.tile(np.repeat(ids, 2), 2 * len(sweep))
+    angle = np.repeat(np.concatenate([sweep, sweep[::-1]]), 2 * len(ids))
+    count = len(angle)
+    time = np.arange(count) * 0.5 * minute
+    problem = declare(
+        None,
+        list(target),
+        angle,
+        distance=dict(zip(ids, (0.9875, 1.4170, 1.8525))),
+        elevation=dict(zip(ids, np.array([3.0, 18.0, -9.0]) * degree)),
+        face=np.tile([1.0, -1.0], count // 2),
+        covariates={
+            "time": (time, "s"),
+            "temperature_difference": (0.5 * np.sin(time / (20 * minute)), "K"),
+            "direction": np.repeat([1, -1], count // 2),
+            "block": np.repeat([1, 2], count // 2),
+        },
+    )
+    problem = problem.with_effects(*_usable(effects((2,)), problem, np.zeros(1)))
+    centre, eccentricity = (problem.select(name).unknown for name in ("centre", "eccentricity"))
+    truth = {
+        centre: np.array([[185.50, 87.0], [185.49, 72.0], [185.48, 99.0]]) * degree,
+        eccentricity: np.array([[0.17, -0.13], [0.05, 0.11], [-0.02, 0.03]]) * mm,
+    }
+    return simulate(problem, truth, seed)

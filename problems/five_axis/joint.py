@@ -25,7 +25,7 @@ from instruments.stated import rectangular
 
 from . import world
 from .formulas import parallelism
-from .readings import INSTRUMENTS, NEAR_AND_FAR, TABLES, WIRES, Circle, Readings
+from .readings import INSTRUMENTS, NEAR_AND_FAR, SIGHTS, TABLES, WIRES, Circle, Readings
 
 AXES = ("pitch", "roll", "two_axis_pitch")
 YAW_OF = {"pitch": 0, "roll": 0, "two_axis_pitch": 1}
@@ -163,7 +163,13 @@ def declare(readings: Readings, sharing: Sharing) -> Problem:
             )
         )
     observations += _priors(r, unknowns)
+    each = np.arange(len(SIGHTS))
+    at_instrument, at_wire = each // len(WIRES), each % len(WIRES)
     quantities = _results(unknowns, axes, up) + [
+        Quantity("wire reading", world.on_wire, np.repeat([LOOKS[i] for i in INSTRUMENTS], len(WIRES), axis=0),
+                 unknowns.offset[at_wire], unknowns.plumb[at_wire], unknowns.height[at_wire], still, angle,
+                 unknowns.distance[to_yaw[at_instrument]], zero[at_instrument], standing[at_instrument], up,
+                 Shared(1.0), unit="arcsec", keys=SIGHTS),
         Quantity(
             "reading",
             world.on_target,
@@ -252,7 +258,6 @@ def _results(unknowns: _Unknowns, axes: list[str], up: Shared) -> list[Quantity]
     pitch, roll = axes.index("pitch"), axes.index("roll")
     pair = (point[pitch], slope[pitch], point[roll], slope[roll], offset[0], plumb[0], unknowns.turn_error, up)
     results = [
-        Quantity("plumb", lambda tilt: tilt, plumb.each, unit="arcsec", parts=("x", "y"), keys=TABLES),
         Quantity("plumb difference", parallelism, plumb[0], plumb[1], unit="arcsec", parts=("x", "y", "parallelism")),
         Quantity(
             "square",

@@ -25,6 +25,7 @@ FILES = {
 TABLES = ("three_axis", "two_axis")
 WIRES = ("S3", "S2")
 INSTRUMENTS = ("T1", "T2")
+SIGHTS = tuple(f"{i} {w}" for i in INSTRUMENTS for w in WIRES)
 NEAR_AND_FAR = {"pitch": ("A", "B"), "roll": ("C", "D"), "two_axis_pitch": ("E", "F")}
 
 

@@ -18,9 +18,8 @@ from instruments.theodolite import PERIOD
 from problems.axis_points import difference, one_circle, upward
 
 from . import formulas
-from .readings import INSTRUMENTS, NEAR_AND_FAR, TABLES, WIRES, Circle, Readings
+from .readings import INSTRUMENTS, NEAR_AND_FAR, SIGHTS, TABLES, WIRES, Circle, Readings
 
-SIGHTS = tuple(f"{i} {w}" for i in INSTRUMENTS for w in WIRES)
 
 
 def on_target(centre_h: Any, centre_v: Any, circle_h: Any, circle_v: Any, angle: Any) -> Any:
@@ -71,6 +70,7 @@ def declare(readings: Readings) -> Problem:
         group="table 2",
         unit="arcsec",
         period=PERIOD,
+        covariates={"target": r.wires.target},
         rows=r.wires.rows,
     )
 
@@ -89,6 +89,7 @@ def declare(readings: Readings) -> Problem:
             unit="arcsec",
             components=("H", "V"),
             period=PERIOD,
+            covariates={"target": read.target},
             rows=read.rows,
         )
 
