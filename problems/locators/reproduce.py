@@ -46,7 +46,7 @@ def reproduce() -> Reproduction:
 
 @dataclass(frozen=True)
 class Assumed:
-    """Table 6 under the first of the named assumptions: sigmas and means (6,) [mm, deg], half widths; all in the study."""
+    """Table 6 under the first of the named assumptions: sigmas and means (6,) [mm, deg], half widths; study."""
 
     name: str
     sigmas: NDArray[np.float64]
