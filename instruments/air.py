@@ -10,14 +10,14 @@ from typing import Any
 
 from casadi import exp
 
-SOURCE = "Ciddor, Appl. Opt. 35 (1996) 1566-1573, refractive index of air: new equations for the visible and near infrared"
+SOURCE = "Ciddor, Appl. Opt. 35 (1996) 1566-1573, refractive index of air: equations for the visible and near infrared"
 
 # Derivatives of the phase index at 633 nm, 20 degC, 101 325 Pa, 50 % relative humidity and 450 ppm CO2 (a test derives
 # them again).
 PER_KELVIN = -0.955e-6           # [1/K], at constant relative humidity
 PER_PASCAL = 2.68e-9             # [1/Pa]
 PER_HUMIDITY = -0.85e-6          # for the whole range of relative humidity, 0 to 1 [1]
-PER_CARBON_DIOXIDE = 1.45e-4     # for a molar fraction [1]
+PER_CARBON_DIOXIDE = 1.43e-4     # for a molar fraction [1]
 
 _GAS_CONSTANT = 8.314510         # J/(mol K), the value Ciddor's densities were formed with
 _MOLAR_MASS_WATER = 0.018015     # kg/mol
@@ -67,8 +67,8 @@ def phase_index(wavelength: Any, temperature: Any, pressure: Any, water: Any, ca
     standard_air = 1e-8 * (5792105 / (238.0185 - wave_number_2) + 167917 / (57.362 - wave_number_2))
     dry_air = standard_air * (1 + 0.534 * (carbon_dioxide - 450e-6))
     vapour = 1.022e-8 * (295.235 + 2.6422 * wave_number_2 - 0.032380 * wave_number_2**2 + 0.004028 * wave_number_2**3)
-    # Densities enter as ratios to their reference states (dry air at 15 degC, 101 325 Pa; pure vapour at 20 degC, 1333 Pa),
-    # in which the molar masses of air and water cancel.
+    # Densities enter as ratios to their reference states (dry air at 15 degC, 101 325 Pa; pure vapour at 20 degC,
+    # 1333 Pa), in which the molar masses of air and water cancel.
     density = _molar_density(temperature, pressure, water)
     return (1 + dry_air * density * (1 - water) / _molar_density(288.15, 101325.0, 0.0)
             + vapour * density * water / _molar_density(293.15, 1333.0, 1.0))

@@ -20,8 +20,8 @@ from calib.units import arcsec, hour, minute
 
 from . import influence, stated
 
-ANGLES = ("Sim, Modern developments in angle measurement, in Hewitt (ed.), Modern Techniques in Metrology, World Scientific "
-          "1984")
+ANGLES = ("Sim, Modern developments in angle measurement, in Hewitt (ed.), Modern Techniques in Metrology, World "
+          "Scientific 1984")
 INDEXING = "Reeve, The calibration of indexing tables by subdivision, NBSIR 75-750, National Bureau of Standards 1975"
 COLLIMATORS = ("Yandayan, Akgoz, Asar, Meas. Sci. Technol. 25 (2014) 015010, calibration of high-resolution electronic "
                "autocollimators")

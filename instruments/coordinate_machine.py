@@ -129,12 +129,10 @@ def guide_effects(slot: str = "machine_point", prefix: str = "", groups: Sequenc
 
 def cosine_effects(slot: str = "machine_point", prefix: str = "",
                    groups: Sequence[str] | None = None) -> tuple[Effect, ...]:
-    """Cosine error of an axis read by a beam at the angle beta to its motion: E_a + kappa X_a, kappa = 1/cos(beta) -
-    1 >= 0.
+    """Cosine error of an axis read by a beam at an angle beta to its motion: E_a + kappa X_a, kappa = 1/cos(beta) - 1.
 
-    The motion is longer than what the beam sees; kappa = beta^2/2 to fourth order (`interferometer.cosine_angle`
-    turns it back).
-    Arguments as for `guide_effects`. Returns one effect for each axis.
+    The motion is longer than what the beam sees, so kappa is not negative; it is beta^2/2 to fourth order
+    (`interferometer.cosine_angle` turns it back). Arguments as for `guide_effects`. Returns one effect for each axis.
     """
     confined = None if groups is None else tuple(groups)
 
@@ -158,7 +156,7 @@ def thermal_effect(slot: str = "machine_point", channel: str = "machine",
 
 
 def effects() -> tuple[Effect, ...]:
-    """All effects of a machine whose travel is 0.5 m to either side: those of its guides, cosine errors and expansion."""
+    """All effects of a machine whose travel is 0.5 m to either side: its guides, cosine errors and expansion."""
     return (*guide_effects(), *cosine_effects(), thermal_effect())
 
 

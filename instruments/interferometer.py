@@ -22,8 +22,8 @@ from . import air, influence, stated
 
 FIELD = "Bobroff, Meas. Sci. Technol. 4 (1993) 907-926, recent advances in displacement measuring interferometry"
 ABBE = "Bryan, The Abbe principle revisited, Precision Engineering 1 (1979) 129-132"
-TRACKING = ("Schwenke et al., CIRP Annals 54 (2005) 475-478, error mapping of CMMs and machine tools by a single tracking "
-            "interferometer")
+TRACKING = ("Schwenke et al., CIRP Annals 54 (2005) 475-478, error mapping of CMMs and machine tools by a single "
+            "tracking interferometer")
 HELIUM_NEON = 632.8 * nm
 
 

@@ -63,8 +63,7 @@ def circles(line: Any, face: Any, zero: Any, sense: Any, *, sight_line: Any = di
     seen = sight_line(line, distance=sqrt(line[0] ** 2 + line[1] ** 2 + line[2] ** 2))
     level_distance = sqrt(seen[0] ** 2 + seen[1] ** 2)
     return _circles(atan2(seen[1], seen[0]), atan2(level_distance, seen[2]), atan2(seen[2], level_distance), face,
-                    zero, sense,
-                    standing_axis, horizontal, zenith, horizontal_circle, vertical_circle)
+                    zero, sense, standing_axis, horizontal, zenith, horizontal_circle, vertical_circle)
 
 
 def _circles(azimuth: Any, zenith_angle: Any, elevation: Any, face: Any, zero: Any, sense: Any, standing_axis: Any,
@@ -152,8 +151,8 @@ def example(seed: int) -> Problem:
     azimuth = np.array([0.0, 50.0, 100.0, 155.0, 200.0, 260.0, 310.0]) * degree
     elevation = np.array([5.0, 35.0, -20.0, 50.0, -5.0, 20.0, -35.0]) * degree
     distance = np.array([3.0, 4.0, 2.5, 5.0, 8.0, 6.0, 3.5])
-    toward = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)],
-                      axis=1)
+    level = np.cos(elevation)
+    toward = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
     targets = Direction("target", toward, keys=[f"P{i}" for i in range(1, 8)])
     index = np.concatenate([np.arange(7), np.arange(7)[::-1]] * 2)
     count = len(index)
@@ -168,8 +167,8 @@ def example(seed: int) -> Problem:
         circles, targets[index], face, Shared(np.zeros(2)), Shared(np.array([-1.0, 1.0])),
         u=pointing((1.0 * arcsec, 1.0 * arcsec), distance[index], elevation[index], 5e-6), group="targets",
         unit="arcsec", components=("H", "V"), period=PERIOD, covariates=influences(count))
-    horizontal_angle, zenith_angle = Unknown("mark_horizontal", 0.3, "deg"), Unknown("mark_zenith", 89.5 * degree,
-                                                                                     "deg")
+    horizontal_angle = Unknown("mark_horizontal", 0.3, "deg")
+    zenith_angle = Unknown("mark_zenith", 89.5 * degree, "deg")
     faces = np.tile([1.0, -1.0], 4)
     mark = Observations(face_readings, horizontal_angle, zenith_angle, Shared(0.5 * degree), faces, u=1.0 * arcsec,
                         group="mark",

@@ -23,8 +23,8 @@ PLATINUM = "IEC 60751:2022, industrial platinum resistance thermometers and plat
 PRACTICE = "Nicholas and White, Traceable Temperatures, 2nd ed., Wiley 2001"
 ZERO_CELSIUS = 273.15            # K
 CALLENDAR_VAN_DUSEN = (3.9083e-3, -5.775e-7, -4.183e-12)         # A [1/K], B [1/K^2], C [1/K^4] of IEC 60751
-_TOLERANCES = {"AA": (0.1, 0.0017), "A": (0.15, 0.002), "B": (0.3, 0.005),
-               "C": (0.6, 0.01)}   # K and K/K of |t|, IEC 60751
+# Fixed part [K] and part in proportion to |t| [K/K], IEC 60751.
+_TOLERANCES = {"AA": (0.1, 0.0017), "A": (0.15, 0.002), "B": (0.3, 0.005), "C": (0.6, 0.01)}
 
 
 def indication(temperature: Any, *, sensor: Any = direct, temperature_reading: Any = direct) -> Any:
@@ -104,8 +104,7 @@ def example(seed: int) -> Problem:
     bath, at_zero = Unknown("bath", levels[:, None], "K"), Unknown("resistance_at_zero", 100.0, "1")
     covariates = {"time": (np.arange(count) * 10 * minute, "s"), "direction": np.where(index < 5, 1.0, -1.0),
                   "block": 1 + (index > 4),
-                  "temperature_rate": (np.where(np.arange(count) % 3 == 0, 1e-4, 0.0) * np.where(index < 5, 1, -1),
-                                       "K/s"),
+                  "temperature_rate": (1e-4 * (np.arange(count) % 3 == 0) * np.where(index < 5, 1, -1), "K/s"),
                   "current_squared": np.where(np.arange(count) % 3 == 2, 2.0, 1.0),
                   "ambient": (294.0 + 0.3 * np.sin(np.arange(count)), "K")}
     reference = Observations(indication, bath[index], u=2e-3 * kelvin, group="reference", unit="K")
@@ -113,5 +112,5 @@ def example(seed: int) -> Problem:
                               covariates=covariates)
     platinum = Observations(resistance, bath[index], at_zero, u=1e-3, group="platinum", unit="1")
     candidates = [replace(effect, groups=("thermometer",)) for effect in effects(blocks=(2,))]
-    return simulate(Problem([reference, under_test, platinum], effects=candidates, name="thermometers in a bath"), {},
-                    seed)
+    problem = Problem([reference, under_test, platinum], effects=candidates, name="thermometers in a bath")
+    return simulate(problem, {}, seed)
