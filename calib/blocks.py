@@ -28,6 +28,13 @@ class Block:
     residual: Array
     parts: tuple[Part, ...]
 
+    def times(self, step: Array) -> Array:
+        """Derivatives times a step over all columns: (m, d)."""
+        change = np.zeros(self.residual.shape)
+        for part in self.parts:
+            change += np.einsum("mdf,mf->md", part.jacobian, step[part.columns])
+        return change
+
     def dense(self, position: Index, size: int) -> Array:
         """Derivatives as a matrix (m d, size); position maps every column to its place, -1 where it is left out."""
         m, d = self.residual.shape

@@ -50,14 +50,14 @@ def _null_space(matrix: Array, target: Array) -> tuple[Array, Array]:
 class DenseFactor:
     """Orthogonal factor of all whitened derivatives within the null space of the conditions.
 
-    derivatives (N, p); residual (N,); conditions; damping: added to the normal matrix in units of its diagonal.
+    derivatives (N, p); residual (N,); conditions; damping: (p,) added to the diagonal of the normal matrix, or None.
     step: (p,) least-squares step, which is `particular` (p,) to meet the conditions plus `root` times `pull` (rank,);
     decrement: its size in units of u; null: (p, defect) directions that change no reading; condition: of the scaled derivatives.
     """
 
-    def __init__(self, derivatives: Array, residual: Array, conditions: Conditions, damping: float = 0.0):
+    def __init__(self, derivatives: Array, residual: Array, conditions: Conditions, damping: Array | None = None):
         self.size = derivatives.shape[1]
-        scale = np.sqrt(np.einsum("ij,ij->j", derivatives, derivatives))
+        scale = np.sqrt(np.einsum("ij,ij->j", derivatives, derivatives) + (0.0 if damping is None else damping))
         self._scale = np.where(scale > 0, scale, 1.0)
         scaled = derivatives / self._scale
         self._basis, particular = None, np.zeros(self.size)
@@ -67,8 +67,10 @@ class DenseFactor:
             scaled = scaled @ self._basis
         width = scaled.shape[1]
         stacked = np.column_stack([scaled, residual])
-        if damping:
-            stacked = np.concatenate([stacked, np.column_stack([np.sqrt(damping) * np.eye(width), np.zeros(width)])])
+        if damping is not None:
+            springs = np.diag(np.sqrt(damping) / self._scale)
+            springs = springs if self._basis is None else springs @ self._basis
+            stacked = np.concatenate([stacked, np.column_stack([springs, np.zeros(self.size)])])
         corner = np.linalg.qr(stacked, mode="r") if len(stacked) > width + 1 else stacked
         left, self._values, self._right = np.linalg.svd(corner[:, :width], full_matrices=True)
         largest = self._values[0] if len(self._values) else 1.0
@@ -121,7 +123,7 @@ class EliminatedFactor:
     """
 
     def __init__(self, blocks: Sequence[Block], layout: Layout, unknown: Unknown | None, conditions: Conditions,
-                 damping: float = 0.0):
+                 damping: Array | None = None):
         from scipy import sparse
         self.size = len(layout.free_columns)
         derivatives, residual = sparse_rows(blocks, layout)
@@ -136,18 +138,20 @@ class EliminatedFactor:
         self._slot = np.empty(self.size, dtype=np.int64)
         self._slot[self._inner], self._slot[self._outer] = np.arange(len(self._inner)), np.arange(len(self._outer))
         self._is_inner = inside
-        self._scale = np.sqrt(np.asarray(derivatives.multiply(derivatives).sum(axis=0)).ravel())
+        squares = np.asarray(derivatives.multiply(derivatives).sum(axis=0)).ravel()
+        self._scale = np.sqrt(squares + (0.0 if damping is None else damping))
         self._scale = np.where(self._scale > 0, self._scale, 1.0)
         scaled = sparse.csr_matrix(derivatives @ sparse.diags(1 / self._scale))
         self._residual, gradient = residual, scaled.T @ residual
         inner, outer = scaled[:, self._inner].tocsr(), scaled[:, self._outer].tocsr()
         f, m = self._freedom, self._count
-        normal = (outer.T @ outer).toarray() + damping * np.eye(len(self._outer))
+        springs = np.zeros(self.size) if damping is None else damping / self._scale ** 2
+        normal = (outer.T @ outer).toarray() + np.diag(springs[self._outer])
         self._coupled = np.zeros((m, f, len(self._outer)))
         target = gradient[self._outer].copy()
         self._defective = np.zeros(0, dtype=np.int64)
         if m:
-            small = self._diagonal_blocks(inner, m, f) + damping * np.eye(f)
+            small = self._diagonal_blocks(inner, m, f) + springs[self._inner].reshape(m, f, 1) * np.eye(f)
             lengths, axes = np.linalg.eigh(small)
             weak = lengths <= RANK_TOLERANCE * np.maximum(lengths[:, -1:], 1e-300)
             self._defective = np.flatnonzero(weak.any(axis=1))
@@ -341,11 +345,11 @@ def _eliminable(blocks: Sequence[Block], layout: Layout, conditions: Conditions)
     return best
 
 
-def factorise(blocks: Sequence[Block], layout: Layout, conditions: Conditions, damping: float = 0.0) -> Factor:
+def factorise(blocks: Sequence[Block], layout: Layout, conditions: Conditions, damping: Array | None = None) -> Factor:
     """Factor the normal equations of whitened rows: dense where small, else with blocks eliminated.
 
     blocks: whitened residuals and derivatives; layout: their columns; conditions: on the free columns.
-    damping: added to the diagonal in units of itself.
+    damping: (p,) added to the diagonal of the normal matrix, or None.
     """
     size = len(layout.free_columns)
     if size <= DENSE_SIZE:

@@ -37,3 +37,7 @@ class RankDefect(CalibrationError):
 
 class MethodRefusal(CalibrationError):
     """A method that does not solve this kind of problem, with the reason and the method that does."""
+
+
+class ModelBreakdown(CalibrationError):
+    """A model that gives no finite number at the present values of the unknowns."""

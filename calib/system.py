@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.blocks import Array, Block, Part
-from calib.errors import CalibrationError
+from calib.errors import CalibrationError, ModelBreakdown
 from calib.layout import Layout
 from calib.observations import BoundModel, Constraint, Observations, Quantity
 from calib.problem import Problem
@@ -179,9 +179,9 @@ class System:
                     residual[:, j] -= period * np.rint(residual[:, j] / period)
         bad = np.argwhere(~np.isfinite(residual))
         if len(bad):
-            raise CalibrationError(f"observations '{observations.group}', row {observations.rows[bad[0][0]]}: the model "
+            raise ModelBreakdown(f"observations '{observations.group}', row {observations.rows[bad[0][0]]}: the model "
                                    f"{observations.model_name} gives {predicted[tuple(bad[0])]} at the present values of "
-                                   f"{', '.join(u.name for u in observations.unknowns)}; start nearer, or mend the model there.")
+                                 f"{', '.join(u.name for u in observations.unknowns)}; start nearer, or mend the model there.")
         return residual
 
     def residuals(self, values: Values) -> list[Array]:

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.blocks import Array
+from calib.blocks import Array, Block
 from calib.elimination import Conditions, DenseFactor, Factor, factorise
+from calib.errors import ModelBreakdown
+from calib.layout import Layout
 from calib.observations import Constraint
 from calib.solve.method import Method, Outcome, missing_readings
 from calib.system import System, Values
@@ -28,7 +30,7 @@ class GaussNewton(Method):
     """
 
     tolerance: float = 1e-11
-    iterations: int = 200
+    iterations: int = 1000
     name = "gauss-newton"
 
     def refusal(self, system: System) -> str | None:
@@ -39,87 +41,133 @@ class GaussNewton(Method):
         return missing_readings(system.problem)
 
     def minimise(self, system: System, start: Values) -> Outcome:
-        layout, values = system.layout, dict(start)
-        values = _into_bounds(system, values)
+        layout, values = system.layout, _into_bounds(system, dict(start))
         weightings = system.weightings(values)
-        damping, penalty, last, message = 0.0, 0.0, np.inf, "stopped at the limit of iterations"
-        size = np.linalg.norm(np.concatenate([(t.predict(values) / w.u).ravel()
-                                              for t, w in zip(system.terms, weightings, strict=True)]))
-        floor = 8 * np.finfo(float).eps * float(size)      # rounding of the predictions, in units of u
+        here = _Point.at(system, values, weightings)
+        if not np.isfinite(here.objective):
+            system.blocks(values, weightings)              # raises the sentence that names row and model
+        floor, damping, growth, penalty, last = _rounding(system, values, weightings), 0.0, 2.0, 0.0, np.inf
+        lengths, slow = here.squares, 0
+        message = "stopped at the limit of iterations"
         for iteration in range(1, self.iterations + 1):
-            blocks = system.blocks(values, weightings)
-            excess, matrix, tolerance = system.equalities(values)
-            conditions = Conditions(matrix[:, layout.free_columns], -excess)
-            gradient = _gradient(blocks, layout.position, len(layout.free_columns))
-            pins, room = _active(system, values, gradient)
-            conditions = conditions.pinned(pins, np.zeros(len(pins)))
-            objective = sum(float(np.vdot(b.residual, b.residual)) for b in blocks)
-            infeasible = float(np.abs(excess / tolerance).sum()) if len(excess) else 0.0
-            undamped = factorise(blocks, layout, conditions)
+            lengths = np.maximum(lengths, here.squares)    # as MINPACK: a column that fades does not lose its damping
+            pins, room = _active(system, here.values, here.pull)
+            conditions = here.conditions.pinned(pins, np.zeros(len(pins)))
+            undamped = factorise(here.blocks, layout, conditions)
             remaining = undamped.decrement
-            if infeasible <= 1e-3 and (remaining <= max(self.tolerance, floor)
-                                       or (remaining <= 1e-6 and remaining >= 0.5 * last and damping == 0.0)):
-                values = self._moved(system, values, undamped.step, room)
-                return Outcome(values, True, iteration, "converged")
-            slow, last, accepted = remaining > 0.3 * last, remaining, False
-            for attempt in range(40):
-                newton = _newton_step(system, values, weightings, undamped, gradient, conditions) if slow and not attempt else None
-                factor = undamped if damping == 0.0 or newton is not None else factorise(blocks, layout, conditions, damping)
-                trial = self._moved(system, values, factor.step if newton is None else newton, room)
-                gain, new_infeasible = self._merit(system, trial, weightings)
-                penalty = max(penalty, 2 * abs(gain - objective) / infeasible if infeasible > 1e-3 and np.isfinite(gain) else 0.0)
+            if here.infeasible <= 1e-3 and (remaining <= self.tolerance or (
+                    remaining <= max(1e-6, floor) and remaining >= 0.5 * last and damping == 0.0)):
+                return Outcome(_moved(layout, here.values, undamped.step, room), True, iteration, "converged")
+            slow, last = slow + 1 if remaining > 0.3 * last else 0, remaining
+            multipliers = (np.linalg.lstsq(conditions.matrix.T, here.pull, rcond=None)[0] if len(conditions.target)
+                           else np.zeros(0))
+            forces = multipliers[:len(here.tolerance)] * here.tolerance
+            penalty = max(penalty, 3.0 * float(np.abs(forces).max(initial=0.0)))
+            second = _second_order(system, here.values, weightings, undamped, multipliers) if slow else None
+            for _ in range(60):
+                step = None if second is None else _newton_step(second, undamped, damping * lengths)
+                exact = step is not None
+                if step is None:
+                    step = undamped.step if damping == 0.0 else factorise(here.blocks, layout, conditions, damping * lengths).step
+                there = _Point.at(system, _moved(layout, here.values, step, room), weightings)
+                promised = here.promised(layout, step) + penalty * here.infeasible - (step @ second @ step if exact else 0.0)
+                gained = here.objective - there.objective + penalty * (here.infeasible - there.infeasible)
+                ratio = gained / promised if promised > 0 else -1.0
                 # A full step of a hundredth of u is right; what v'Pv says about it is lost in the rounding of the readings.
-                slack = (1e-6 if remaining <= 1e-2 else 1e-10) * max(1.0, objective)
-                if gain + penalty * new_infeasible <= objective + penalty * infeasible + slack:
-                    accepted = True
+                small = remaining <= 1e-2 and gained >= -1e-6 * max(1.0, here.objective)
+                nearer = here.infeasible > 1.0 and there.infeasible <= 0.5 * here.infeasible
+                if small or nearer or ratio > (1e-4 if damping else 0.1):
                     break
-                damping = max(10 * damping, 1e-4) if newton is None else damping
-            if not accepted:
+                damping, growth = max(growth * damping, 1e-3), 2 * growth
+            else:
                 message = "no step lowers the objective; the start may be far away or the model not smooth there"
                 break
-            values = trial
-            damping = damping / 10 if damping > 1e-6 else 0.0
-        return Outcome(values, False, iteration, _contradiction(system, values) or message)
+            here, growth = there, 2.0
+            damping *= max(1 / 5, 1 - (2 * min(max(ratio, 0.0), 1.0) - 1) ** 3)
+            damping = damping if damping > 1e-9 and remaining > 1e-2 else 0.0
+        return Outcome(here.values, False, iteration, _contradiction(system, here.values) or message)
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A system evaluated at values: whitened rows, J'r and the diagonal of J'J over the free columns, and conditions.
+
+    objective: v'Pv; infeasible: sum of the excesses in units of their tolerances; both infinite where the model breaks down.
+    """
+
+    values: dict[Unknown, Array]
+    blocks: list[Block]
+    pull: Array
+    squares: Array
+    conditions: Conditions
+    tolerance: Array
+    objective: float
+    infeasible: float
 
     @staticmethod
-    def _moved(system: System, values: Values, step: Array, room: tuple[Array, Array]) -> dict[Unknown, Array]:
-        layout = system.layout
-        full = np.zeros(layout.size)
-        full[layout.free_columns] = np.clip(step, room[0], room[1])
-        return layout.move(values, full)
-
-    @staticmethod
-    def _merit(system: System, values: Values, weightings) -> tuple[float, float]:  # type: ignore[no-untyped-def]
-        from calib.errors import CalibrationError
+    def at(system: System, values: dict[Unknown, Array], weightings: Sequence[Weighting]) -> _Point:
+        free, nothing = system.layout.free_columns, np.zeros(0)
         try:
-            whitened = system.whitened(values, weightings)
-        except CalibrationError:
-            return np.inf, np.inf
-        excess, _, tolerance = system.equalities(values)
-        return float(whitened @ whitened), float(np.abs(excess / tolerance).sum()) if len(excess) else 0.0
+            blocks = system.blocks(values, weightings)
+            with np.errstate(over="ignore", invalid="ignore"):
+                pull, squares = _gradient(blocks, system.layout.position, len(free))
+                objective = sum(float(np.vdot(b.residual, b.residual)) for b in blocks)
+        except ModelBreakdown:
+            return _Point(values, [], nothing, nothing, Conditions.none(len(free)), nothing, np.inf, np.inf)
+        excess, matrix, tolerance = system.equalities(values)
+        sound = np.isfinite(objective) and np.isfinite(squares).all()
+        return _Point(values, blocks, pull, squares, Conditions(matrix[:, free], -excess), tolerance,
+                      objective if sound else np.inf, float(np.abs(excess / tolerance).sum()))
+
+    def promised(self, layout: Layout, step: Array) -> float:
+        """By how much v'Pv would fall over a step (p,) if the model were straight."""
+        full = np.zeros(layout.size)
+        full[layout.free_columns] = step
+        changes = [(b.residual, b.times(full)) for b in self.blocks]
+        return float(sum(np.vdot(c, 2 * r - c) for r, c in changes))
 
 
-def _gradient(blocks, position: NDArray[np.int64], size: int) -> Array:  # type: ignore[no-untyped-def]
-    """Derivative of half the objective with respect to the free columns (p,), negated: where it pulls."""
-    pull = np.zeros(size + 1)
+def _rounding(system: System, values: Values, weightings: Sequence[Weighting]) -> float:
+    """Size in units of u of the rounding of all predictions, below which no step can be told from noise."""
+    size = [np.linalg.norm(t.predict(values) / w.u) for t, w in zip(system.terms, weightings, strict=True)]
+    return 8 * float(np.finfo(float).eps * np.linalg.norm(size))
+
+
+def _moved(layout: Layout, values: Values, step: Array, room: tuple[Array, Array]) -> dict[Unknown, Array]:
+    full = np.zeros(layout.size)
+    full[layout.free_columns] = np.clip(step, room[0], room[1])
+    return layout.move(values, full)
+
+
+def _gradient(blocks: Sequence[Block], position: NDArray[np.int64], size: int) -> tuple[Array, Array]:
+    """Where the residuals pull the free columns, J'r (p,), and the diagonal of J'J (p,)."""
+    pull, squares = np.zeros(size + 1), np.zeros(size + 1)         # the last place takes what is held
     for block in blocks:
         for part in block.parts:
-            np.add.at(pull, position[part.columns].ravel(), np.einsum("mdf,md->mf", part.jacobian, block.residual).ravel())
-    return pull[:size]
+            place = position[part.columns].ravel()
+            pull += np.bincount(np.where(place < 0, size, place),
+                                np.einsum("mdf,md->mf", part.jacobian, block.residual).ravel(), size + 1)
+            squares += np.bincount(np.where(place < 0, size, place), (part.jacobian ** 2).sum(axis=1).ravel(), size + 1)
+    return pull[:size], squares[:size]
 
 
-def _newton_step(system: System, values: Values, weightings: Sequence[Weighting], factor: Factor, pull: Array,
-                 conditions: Conditions) -> Array | None:
-    """Step (p,) with the exact Hessian, or None where there are too many unknowns or it does not curve upwards."""
-    if not isinstance(factor, DenseFactor):
+def _second_order(system: System, values: Values, weightings: Sequence[Weighting], factor: Factor,
+                  multipliers: Array) -> Array | None:
+    """What the exact Hessian adds to J'J (p, p); None where there are too many unknowns for it."""
+    return system.second_order(values, weightings, multipliers) if isinstance(factor, DenseFactor) and factor.rank else None
+
+
+def _newton_step(second: Array, factor: DenseFactor, damping: Array) -> Array | None:
+    """Damped step (p,) with the exact Hessian, or None where that does not curve upwards."""
+    added = second + np.diag(damping)
+    with np.errstate(over="ignore", invalid="ignore"):
+        hessian = np.eye(factor.rank) + factor.root.T @ added @ factor.root
+    if not np.isfinite(hessian).all():
         return None
-    multipliers = np.linalg.lstsq(conditions.matrix.T, pull, rcond=None)[0] if len(conditions.target) else np.zeros(0)
-    second = system.second_order(values, weightings, multipliers)
-    hessian = np.eye(factor.rank) + factor.root.T @ second @ factor.root
     lengths, axes = np.linalg.eigh(hessian)
-    if not len(lengths) or lengths[0] <= 1e-3:
+    if lengths[0] <= 1e-6:
         return None
-    inner = axes @ ((axes.T @ (factor.pull - factor.root.T @ (second @ factor.particular))) / lengths)
+    inner = axes @ ((axes.T @ (factor.pull - factor.root.T @ (added @ factor.particular))) / lengths)
     return factor.particular + factor.root @ inner
 
 
