@@ -20,8 +20,7 @@ from calib.units import arcsec, hour, minute
 
 from . import influence, stated
 
-ANGLES = ("Sim, Modern developments in angle measurement, in Hewitt (ed.), Modern Techniques in Metrology, World "
-          "Scientific 1984")
+ANGLES = "Estler and Queen, CIRP Annals 42 (1993) 573-576, an advanced angle metrology system"
 INDEXING = "Reeve, The calibration of indexing tables by subdivision, NBSIR 75-750, National Bureau of Standards 1975"
 COLLIMATORS = ("Yandayan, Akgoz, Asar, Meas. Sci. Technol. 25 (2014) 015010, calibration of high-resolution electronic "
                "autocollimators")
@@ -73,7 +72,7 @@ def closure(name: str, deviations: Unknown, tolerance: float = 1e-12) -> Constra
 
     name: of the constraint; deviations: an unknown of scalar instances, one for each division of the circle [rad];
     tolerance [rad].
-    Returns the constraint. Source: the closure of the circle, Sim (1984).
+    Returns the constraint. Source: the closure of the circle, Estler and Queen (1993).
     """
     return Constraint(name, _sum_of(deviations.count), *(deviations[i] for i in range(deviations.count)),
                       tolerance=tolerance, unit="arcsec")

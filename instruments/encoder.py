@@ -16,7 +16,7 @@ from calib.units import arcsec, degree, hour, minute, ppm
 
 from . import influence, stated
 
-CIRCLE = "Lu and Trumper, Self-calibration of on-axis rotary encoders, CIRP Annals 56 (2007) 499-504"
+CIRCLE = "Lu, Graetz, Amin-Shahidi, Smeds, CIRP Annals 59 (2010) 529-534, on-axis self-calibration of angle encoders"
 POSITIONING = "ISO 230-2:2014, positioning accuracy and repeatability of numerically controlled axes"
 PERIOD = 2 * np.pi
 

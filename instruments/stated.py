@@ -7,12 +7,13 @@ limits of error line by line. Formulas: JCGM 100:2008 (GUM), 4.2 (Type A), 4.3 (
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib import Budget
 from calib.errors import InputError
 
 
@@ -140,3 +141,22 @@ class Lines:
         by the average share.
         """
         return {name: float(contribution * np.sqrt(share)) for name, share in self.shares().items()}
+
+
+def itemised(budget: Budget, lines: Mapping[str, Lines]) -> Budget:
+    """A budget in which the contribution of an observation group is replaced by the lines of its stated uncertainty.
+
+    budget: of one result; lines: group -> its lines. Each new label is `group: line`; the total does not change, but
+    for a group whose readings do not have the lines in the same proportion the split is by the average share.
+    Returns the budget, largest contribution first. Raises InputError for a group that the budget does not hold.
+    """
+    missing = sorted(set(lines) - {one.label for one in budget.contributions})
+    if missing:
+        raise InputError(f"The budget of {budget.name} has no line '{missing[0]}'; it has "
+                         f"{', '.join(one.label for one in budget.contributions)}.")
+    items = []
+    for one in budget.contributions:
+        shares = lines[one.label].shares() if one.label in lines else {"": 1.0}
+        items += [replace(one, label=f"{one.label}: {name}" if name else one.label, u=one.u * np.sqrt(share),
+                          share=one.share * share) for name, share in shares.items()]
+    return replace(budget, contributions=tuple(sorted(items, key=lambda item: -item.u)))
