@@ -77,7 +77,8 @@ class DenseFactor:
         self.rank = int(np.sum(self._values > RANK_TOLERANCE * max(largest, 1e-300)))
         self.pull = left[:, :self.rank].T @ corner[:, width]
         self.particular = particular / self._scale
-        self.step = self.particular + self.root @ self.pull
+        with np.errstate(over="ignore", invalid="ignore"):      # a column that has all but faded may ask for any step
+            self.step = self.particular + self.root @ self.pull
         self.decrement = float(np.linalg.norm(self.pull))
         self.defect = width - self.rank
         self.condition = float(largest / self._values[-1]) if len(self._values) == width > 0 and not self.defect else (

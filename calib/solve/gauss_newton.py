@@ -19,6 +19,9 @@ from calib.uncertainty import Weighting
 from calib.unknown import Unknown
 
 
+LARGEST_DAMPING = 1e25     # in units of the diagonal of J'J; no step is short enough to lower the objective then
+
+
 @dataclass(frozen=True)
 class GaussNewton(Method):
     """The method for least squares: quadratic near the answer, damped far from it.
@@ -64,7 +67,7 @@ class GaussNewton(Method):
             forces = multipliers[:len(here.tolerance)] * here.tolerance
             penalty = max(penalty, 3.0 * float(np.abs(forces).max(initial=0.0)))
             second = _second_order(system, here.values, weightings, undamped, multipliers) if slow else None
-            for _ in range(60):
+            while damping < LARGEST_DAMPING:
                 step = None if second is None else _newton_step(second, undamped, damping * lengths)
                 exact = step is not None
                 if step is None:
