@@ -190,7 +190,7 @@ def _simulation_items(printed: dict[str, Printed]) -> list[Item]:
             value_as_printed=sigma_x(foot, NOISE_PRINTED),
             monte_carlo=simulated_sigma_x(foot, NOISE_NEEDED, 1000, 2007),
             why="equation 1 with the unknowns L0 and cos(theta0), b exact, noise 0.001 mm; with the printed 0.0001 mm "
-            f"a tenth of it. The sample size is not printed (\"many\"): {TRIALS_ASSUMED} is assumed. Joint: start free"))
+            f"a tenth of it. The sample size is not printed (\"many\"): {TRIALS_ASSUMED} is taken. Joint: start free"))
     items.append(Item(
         "ratio", "sigma_x half-symmetric by symmetric", "1", printed["ratio"], value=sigma["half"] / sigma["sym"],
         joint=float(free["half"][0] / free["sym"][0]),
@@ -212,7 +212,8 @@ def _layout_items(printed: dict[str, Printed]) -> list[Item]:
              joint=best_free.value, bound=best.bound, printed_layout_with_free_start=theirs,
              why=f"the printed matrix A itself gives 2/sqrt(3) = {best.bound:.4f}, which is the minimum: the "
              "eigenvalues a, b of A'A have a + b = 3, so Q11 + Q22 >= 4/3. Joint: with the start length unknown too, "
-             f"three targets at 120 deg around the base point give the same {best_free.value:.4f}, the printed layout {theirs:.3f}"),
+             f"three targets at 120 deg around the base point give the same {best_free.value:.4f}, the printed layout "
+             f"{theirs:.3f}"),
     ]
 
 
