@@ -166,10 +166,23 @@ def declare(readings: Readings, sharing: Sharing) -> Problem:
     each = np.arange(len(SIGHTS))
     at_instrument, at_wire = each // len(WIRES), each % len(WIRES)
     quantities = _results(unknowns, axes, up) + [
-        Quantity("wire reading", world.on_wire, np.repeat([LOOKS[i] for i in INSTRUMENTS], len(WIRES), axis=0),
-                 unknowns.offset[at_wire], unknowns.plumb[at_wire], unknowns.height[at_wire], still, angle,
-                 unknowns.distance[to_yaw[at_instrument]], zero[at_instrument], standing[at_instrument], up,
-                 Shared(1.0), unit="arcsec", keys=SIGHTS),
+        Quantity(
+            "wire reading",
+            world.on_wire,
+            np.repeat([LOOKS[i] for i in INSTRUMENTS], len(WIRES), axis=0),
+            unknowns.offset[at_wire],
+            unknowns.plumb[at_wire],
+            unknowns.height[at_wire],
+            still,
+            angle,
+            unknowns.distance[to_yaw[at_instrument]],
+            zero[at_instrument],
+            standing[at_instrument],
+            up,
+            Shared(1.0),
+            unit="arcsec",
+            keys=SIGHTS,
+        ),
         Quantity(
             "reading",
             world.on_target,

@@ -49,29 +49,47 @@ def propagate(readings: Readings, angles: dict[str, tuple[float, float]], u_cent
     axes = [key.split()[0] for key in keys]
     pairs = [[readings.distance[t] for t in NEAR_AND_FAR[axis]] for axis in axes]
     u_angle = [[U_ROLL_CENTRE if axis == "roll" else u_centre] for axis in axes]
-    near, far = (Unknown(name, [[angles[k][i]] for k in keys], "arcsec", keys=keys) for i, name in enumerate(("near",
-    "far")))
-    lengths = [Unknown(f"{name}_distance", [[pair[i][0]] for pair in pairs], "mm", keys=keys)
-               for i, name in enumerate(("near", "far"))]
+    near, far = (
+        Unknown(name, [[angles[k][i]] for k in keys], "arcsec", keys=keys) for i, name in enumerate(("near", "far"))
+    )
+    lengths = [
+        Unknown(f"{name}_distance", [[pair[i][0]] for pair in pairs], "mm", keys=keys)
+        for i, name in enumerate(("near", "far"))
+    ]
     crossing = Unknown("crossing", readings.distance["T1"][0], "mm")
-    given = [prior(near, near.ambient, u_angle), prior(far, far.ambient, u_angle),
-             *(prior(length, length.ambient, [[pair[i][1]] for pair in pairs]) for i, length in enumerate(lengths)),
-             prior(crossing, crossing.ambient[0], readings.distance["T1"][1])]
-    first = Problem(given, name="eq (14), (15)", quantities=[
-        Quantity("p", mean_slope, near.each, far.each, lengths[0].each, lengths[1].each, keys=keys, unit="arcsec"),
-        Quantity("I", intersection, near.each, far.each, lengths[0].each, lengths[1].each, crossing, keys=keys,
-        unit="mm")])
+    given = [
+        prior(near, near.ambient, u_angle),
+        prior(far, far.ambient, u_angle),
+        *(prior(length, length.ambient, [[pair[i][1]] for pair in pairs]) for i, length in enumerate(lengths)),
+        prior(crossing, crossing.ambient[0], readings.distance["T1"][1]),
+    ]
+    first = Problem(
+        given,
+        name="eq (14), (15)",
+        quantities=[
+            Quantity("p", mean_slope, near.each, far.each, lengths[0].each, lengths[1].each, keys=keys, unit="arcsec"),
+            Quantity(
+                "I", intersection, near.each, far.each, lengths[0].each, lengths[1].each, crossing, keys=keys, unit="mm"
+            ),
+        ],
+    )
     found = covariance(linearise(first))
     p, u_p = found.values[: len(keys)], found.u[: len(keys)]
     slope = Unknown("slope", p[:, None], "arcsec", keys=keys)
-    second = Problem([*given, prior(slope, p[:, None], u_p[:, None])], name="eq (15), p apart", quantities=[
-        Quantity("I", with_slope_apart, slope.each, near.each, lengths[0].each, crossing, keys=keys, unit="mm")])
+    second = Problem(
+        [*given, prior(slope, p[:, None], u_p[:, None])],
+        name="eq (15), p apart",
+        quantities=[
+            Quantity("I", with_slope_apart, slope.each, near.each, lengths[0].each, crossing, keys=keys, unit="mm")
+        ],
+    )
     alone = covariance(linearise(second)).u
-    return Propagated(*(dict(zip(keys, map(float, u))) for u in (u_p, alone, found.u[len(keys):])))
+    return Propagated(*(dict(zip(keys, map(float, u))) for u in (u_p, alone, found.u[len(keys) :])))
 
 
-def printed_sigmas(found: Propagated, u_yaw: dict[str, float], distance: dict[str, float], u_yaw_shared: float =
-arcsec) -> dict[str, float]:
+def printed_sigmas(
+    found: Propagated, u_yaw: dict[str, float], distance: dict[str, float], u_yaw_shared: float = arcsec
+) -> dict[str, float]:
     """The sigmas of the twelve results the way the paper finds them.
 
     found: of `propagate`; u_yaw: of the four fitted filament readings [rad]; distance: of T1 and T2 to the yaw axis
@@ -80,11 +98,15 @@ arcsec) -> dict[str, float]:
     """
     p, i = found.p, found.alone
     return {
-        "s1": p["pitch V"], "s2": float(np.hypot(p["pitch H"], p["roll H"])), "s3": i["pitch H"],
-        "s4": float(np.hypot(i["pitch V"], i["roll V"])), "s5": i["roll H"], "s6": p["two_axis_pitch V"],
+        "s1": p["pitch V"],
+        "s2": float(np.hypot(p["pitch H"], p["roll H"])),
+        "s3": i["pitch H"],
+        "s4": float(np.hypot(i["pitch V"], i["roll V"])),
+        "s5": i["roll H"],
+        "s6": p["two_axis_pitch V"],
         # 31 um needs the 3.9 arcsec of S3, which cancels, in place of the 2.9 arcsec of S2
         "s7": float(np.hypot(i["two_axis_pitch H"], distance["T1"] * u_yaw["T1 S3"])),
-        "s9a": distance["T1"] * float(np.sqrt(u_yaw["T1 S3"] ** 2 + u_yaw["T1 S2"] ** 2 + u_yaw_shared ** 2)),
-        "s9b": distance["T2"] * float(np.sqrt(u_yaw["T2 S3"] ** 2 + u_yaw["T2 S2"] ** 2 + u_yaw_shared ** 2)),
+        "s9a": distance["T1"] * float(np.sqrt(u_yaw["T1 S3"] ** 2 + u_yaw["T1 S2"] ** 2 + u_yaw_shared**2)),
+        "s9b": distance["T2"] * float(np.sqrt(u_yaw["T2 S3"] ** 2 + u_yaw["T2 S2"] ** 2 + u_yaw_shared**2)),
         "s10": float(np.hypot(i["pitch V"], i["two_axis_pitch V"])),
     }

@@ -7,8 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib import (Estimate, Linearisation, Problem, VarianceComponents, covariance, linearise, solve,
-                   variance_components)
+from calib import (
+    Estimate,
+    Linearisation,
+    Problem,
+    VarianceComponents,
+    covariance,
+    linearise,
+    solve,
+    variance_components,
+)
 from calib.analyse.covariance import Covariance
 from calib.units import arcsec, degree, mm
 from problems.axis_points import Agreement, sharing
@@ -23,40 +31,97 @@ T2_HORIZONTAL = (27 * 3600 + 20 * 60) * arcsec
 
 # Where a printed number stands: a sum of quantities with factors, less an origin.
 Place = Mapping[str, float]
-_PLUMB = {"lev3_thx": "plumb[three_axis].x", "lev3_thy": "plumb[three_axis].y", "lev2_thx": "plumb[two_axis].x",
-          "lev2_thy": "plumb[two_axis].y", "lev_dx": "plumb difference.x", "lev_dy": "plumb difference.y",
-          "lev_par": "plumb difference.parallelism", "it8a": "plumb difference.x", "it8b": "plumb difference.y"}
+_PLUMB = {
+    "lev3_thx": "plumb[three_axis].x",
+    "lev3_thy": "plumb[three_axis].y",
+    "lev2_thx": "plumb[two_axis].x",
+    "lev2_thy": "plumb[two_axis].y",
+    "lev_dx": "plumb difference.x",
+    "lev_dy": "plumb difference.y",
+    "lev_par": "plumb difference.parallelism",
+    "it8a": "plumb difference.x",
+    "it8b": "plumb difference.y",
+}
 _POINTS = {f"{t}_{part}": f"point[{t}].{part}" for t in "ABCDEF" for part in "yz"}
-STEP: dict[str, Place] = {key: {name: 1.0} for key, name in {
-    **_PLUMB, **_POINTS,
-    **{f"{i}_{w}_hz": f"reading[{i} {w}]" for i in ("T1", "T2") for w in WIRES},
-    **{f"{t}_hz": f"reading[{t} H]" for t in "ABCD"}, **{f"{t}_v": f"reading[{t} V]" for t in "ABCD"},
-    "dX_ang": "yaw angle[T1]", "dY_ang": "yaw angle[T2]", "dX": "yaw offset[T1]", "dY": "yaw offset[T2]",
-    **{f"{line}_d{part}": f"line[{axis}].d{part}" for line, axis in
-       (("l8", "pitch"), ("l9", "roll"), ("l10", "two_axis_pitch")) for part in "xyz"},
-    "l9_y0": "point[C].y", "y1": "line[pitch].y", "z1": "line[pitch].z", "y2": "line[roll].y", "z2": "line[roll].z",
-    "y3": "line[two_axis_pitch].y", "yaw2_y": "yaw offset[T1]",
-    "it1": "square[pitch]", "it2": "square in plan", "it3": "line[pitch].y", "it4": "roll over pitch", "it5":
-    "line[roll].y", "it6": "square[two_axis_pitch]", "it7": "two-axis intersection", "it9a": "yaw offset[T1]", "it9b":
-    "yaw offset[T2]", "it10": "pitch over pitch"}.items()}
+STEP: dict[str, Place] = {
+    key: {name: 1.0}
+    for key, name in {
+        **_PLUMB,
+        **_POINTS,
+        **{f"{i}_{w}_hz": f"reading[{i} {w}]" for i in ("T1", "T2") for w in WIRES},
+        **{f"{t}_hz": f"reading[{t} H]" for t in "ABCD"},
+        **{f"{t}_v": f"reading[{t} V]" for t in "ABCD"},
+        "dX_ang": "yaw angle[T1]",
+        "dY_ang": "yaw angle[T2]",
+        "dX": "yaw offset[T1]",
+        "dY": "yaw offset[T2]",
+        **{
+            f"{line}_d{part}": f"line[{axis}].d{part}"
+            for line, axis in (("l8", "pitch"), ("l9", "roll"), ("l10", "two_axis_pitch"))
+            for part in "xyz"
+        },
+        "l9_y0": "point[C].y",
+        "y1": "line[pitch].y",
+        "z1": "line[pitch].z",
+        "y2": "line[roll].y",
+        "z2": "line[roll].z",
+        "y3": "line[two_axis_pitch].y",
+        "yaw2_y": "yaw offset[T1]",
+        "it1": "square[pitch]",
+        "it2": "square in plan",
+        "it3": "line[pitch].y",
+        "it4": "roll over pitch",
+        "it5": "line[roll].y",
+        "it6": "square[two_axis_pitch]",
+        "it7": "two-axis intersection",
+        "it9a": "yaw offset[T1]",
+        "it9b": "yaw offset[T2]",
+        "it10": "pitch over pitch",
+    }.items()
+}
 _AT = "axis at the yaw axis"
-JOINT: dict[str, Place] = {key: {name: 1.0} for key, name in {
-    **_PLUMB, **_POINTS,
-    **{f"{i}_{w}_hz": f"wire reading[{i} {w}]" for i in ("T1", "T2") for w in WIRES},
-    **{f"{t}_hz": f"reading[{t}].H" for t in "ABCD"}, **{f"{t}_v": f"reading[{t}].V" for t in "ABCD"},
-    "dX": "yaw offset.y", "dY": "yaw offset.x", "yaw2_y": "yaw offset.y", "l9_y0": "point[C].y",
-    "y1": f"{_AT}[pitch].y", "z1": f"{_AT}[pitch].z", "y2": f"{_AT}[roll].y", "z2": f"{_AT}[roll].z",
-    "y3": f"{_AT}[two_axis_pitch].y",
-    "it1": "square[pitch]", "it2": "square in plan", "it3": "intersection[pitch]", "it4": "roll over pitch",
-    "it5": "intersection[roll]", "it6": "square[two_axis_pitch]", "it9a": "yaw offset.y", "it9b": "yaw offset.x",
-    "it10": "pitch over pitch"}.items()}
-JOINT |= {"it7": {"intersection[two_axis_pitch]": -1.0},
-          "dX_ang": {"wire reading[T1 S2]": 1.0, "wire reading[T1 S3]": -1.0},
-          "dY_ang": {"wire reading[T2 S2]": 1.0, "wire reading[T2 S3]": -1.0}}
-JOINT |= {f"{line}_d{part}": {f"point[{far}].{part}": 1.0, f"point[{near}].{part}": -1.0}
-          for line, near, far in (("l8", "A", "B"), ("l9", "C", "D"), ("l10", "E", "F")) for part in "yz"}
-TO_THE_PLUMB_LINE: dict[str, Place] = {"it1": {"square to the plumb line[pitch]": 1.0},
-                                       "it6": {"square to the plumb line[two_axis_pitch]": 1.0}}
+JOINT: dict[str, Place] = {
+    key: {name: 1.0}
+    for key, name in {
+        **_PLUMB,
+        **_POINTS,
+        **{f"{i}_{w}_hz": f"wire reading[{i} {w}]" for i in ("T1", "T2") for w in WIRES},
+        **{f"{t}_hz": f"reading[{t}].H" for t in "ABCD"},
+        **{f"{t}_v": f"reading[{t}].V" for t in "ABCD"},
+        "dX": "yaw offset.y",
+        "dY": "yaw offset.x",
+        "yaw2_y": "yaw offset.y",
+        "l9_y0": "point[C].y",
+        "y1": f"{_AT}[pitch].y",
+        "z1": f"{_AT}[pitch].z",
+        "y2": f"{_AT}[roll].y",
+        "z2": f"{_AT}[roll].z",
+        "y3": f"{_AT}[two_axis_pitch].y",
+        "it1": "square[pitch]",
+        "it2": "square in plan",
+        "it3": "intersection[pitch]",
+        "it4": "roll over pitch",
+        "it5": "intersection[roll]",
+        "it6": "square[two_axis_pitch]",
+        "it9a": "yaw offset.y",
+        "it9b": "yaw offset.x",
+        "it10": "pitch over pitch",
+    }.items()
+}
+JOINT |= {
+    "it7": {"intersection[two_axis_pitch]": -1.0},
+    "dX_ang": {"wire reading[T1 S2]": 1.0, "wire reading[T1 S3]": -1.0},
+    "dY_ang": {"wire reading[T2 S2]": 1.0, "wire reading[T2 S3]": -1.0},
+}
+JOINT |= {
+    f"{line}_d{part}": {f"point[{far}].{part}": 1.0, f"point[{near}].{part}": -1.0}
+    for line, near, far in (("l8", "A", "B"), ("l9", "C", "D"), ("l10", "E", "F"))
+    for part in "yz"
+}
+TO_THE_PLUMB_LINE: dict[str, Place] = {
+    "it1": {"square to the plumb line[pitch]": 1.0},
+    "it6": {"square to the plumb line[two_axis_pitch]": 1.0},
+}
 ITEMS = ("it1", "it2", "it3", "it4", "it5", "it6", "it7", "it8a", "it8b", "it9a", "it9b", "it10")
 UNIT = {"arcsec": arcsec, "mm": mm}
 
@@ -85,15 +150,17 @@ class Fit:
         linear = linearise(estimate)
         scatter = variance_components(linear, TABLES)
         wanted = (*linear.results, "plumb")
-        return Fit(estimate, linear, scatter, covariance(linear, *wanted), covariance(scatter.rescaled(linear),
-        *wanted))
+        return Fit(
+            estimate, linear, scatter, covariance(linear, *wanted), covariance(scatter.rescaled(linear), *wanted)
+        )
 
     def at(self, place: Place, unit: str) -> tuple[float, float, float]:
         """Value, u and u by the scatter found, of a printed number in its unit."""
         rows = [self.stated.names.index(name) for name in place]
         factors, scale = np.array(list(place.values())), UNIT[unit.split()[0]]
-        u = [float(np.sqrt(factors @ c.matrix[np.ix_(rows, rows)] @ factors)) / scale for c in (self.stated,
-        self.found)]
+        u = [
+            float(np.sqrt(factors @ c.matrix[np.ix_(rows, rows)] @ factors)) / scale for c in (self.stated, self.found)
+        ]
         return (float(factors @ self.stated.values[rows]) - origin(unit)) / scale, u[0], u[1]
 
 
@@ -118,8 +185,10 @@ def fits(readings: Readings, *, alternatives: bool = True) -> Fits:
     circles = sharing(step.linear, step.scatter)
     accepted = [one.target for one in circles if one.accepted]
     # The sense in which the yaw axes turn is not printed; the one that suits the readings better is tested.
-    senses = {turns: sharing(step.linear, step.scatter, name) for turns, name in
-              ((1, "wire difference"), (-1, "wire difference, turned backwards"))}
+    senses = {
+        turns: sharing(step.linear, step.scatter, name)
+        for turns, name in ((1, "wire difference"), (-1, "wire difference, turned backwards"))
+    }
     turns = min(senses, key=lambda sense: sum(one.statistic for one in senses[sense]))
     wires = [one.target for one in senses[turns] if one.accepted]
     others = {"nothing shared": Sharing(()), "circles of the usual make: Z down": Sharing(accepted, up=-1)}

@@ -23,19 +23,25 @@ def along_printed(printed: dict[str, float]) -> dict[str, float]:
     """
     p = {**printed, **TWO_AXIS_PITCH}
     found = {
-        "lev_dx": p["lev2_thx"] - p["lev3_thx"], "lev_dy": p["lev2_thy"] - p["lev3_thy"],
+        "lev_dx": p["lev2_thx"] - p["lev3_thx"],
+        "lev_dy": p["lev2_thy"] - p["lev3_thy"],
         "lev_par": hypot(p["lev_dx"], p["lev_dy"]),
-        "dX_ang": p["T1_S2_hz"] - p["T1_S3_hz"], "dY_ang": p["T2_S2_hz"] - p["T2_S3_hz"],
+        "dX_ang": p["T1_S2_hz"] - p["T1_S3_hz"],
+        "dY_ang": p["T2_S2_hz"] - p["T2_S3_hz"],
     }
-    found |= {"dX": off_the_sight(TO_YAW["T1"], p["dX_ang"] * arcsec, 0.0), "dY": off_the_sight(TO_YAW["T2"],
-    p["dY_ang"] * arcsec, 0.0)}
+    found |= {
+        "dX": off_the_sight(TO_YAW["T1"], p["dX_ang"] * arcsec, 0.0),
+        "dY": off_the_sight(TO_YAW["T2"], p["dY_ang"] * arcsec, 0.0),
+    }
     found |= {"it8a": p["lev_dx"], "it8b": p["lev_dy"], "it9a": p["dX"], "it9b": p["dY"]}
     for target, length in LENGTH.items():
         reading = (p[f"{target}_hz"] * arcsec, p[f"{target}_v"] * arcsec)
-        _, found[f"{target}_y"], found[f"{target}_z"] = axis_point(length, *reading, p["T1_S3_hz"] * arcsec, INDEX *
-        arcsec)
-    pitch, roll, two = (_line(p, near, far, key) for near, far, key in (("A", "B", "l8"), ("C", "D", "l9"), ("E", "F",
-    "l10")))
+        _, found[f"{target}_y"], found[f"{target}_z"] = axis_point(
+            length, *reading, p["T1_S3_hz"] * arcsec, INDEX * arcsec
+        )
+    pitch, roll, two = (
+        _line(p, near, far, key) for near, far, key in (("A", "B", "l8"), ("C", "D", "l9"), ("E", "F", "l10"))
+    )
     for (near, far), key in ((("A", "B"), "l8"), (("C", "D"), "l9"), (("E", "F"), "l10")):
         points = [(LENGTH[t], p[f"{t}_y"], p[f"{t}_z"]) for t in (near, far)]
         through = line_through(*points)
@@ -46,12 +52,21 @@ def along_printed(printed: dict[str, float]) -> dict[str, float]:
     found["y3"], z3 = two.at(crossing)
     found["yaw2_y"] = off_the_sight(crossing, found["dX_ang"] * arcsec, 0.0)
     found |= {
-        "it1": out_of_square(pitch) / arcsec, "it2": out_of_square_in_plan(roll, pitch) / arcsec, "it3": p["y1"],
-        "it4": p["z2"] - p["z1"], "it5": p["y2"], "it6": out_of_square(two) / arcsec, "it7": p["yaw2_y"] - p["y3"],
+        "it1": out_of_square(pitch) / arcsec,
+        "it2": out_of_square_in_plan(roll, pitch) / arcsec,
+        "it3": p["y1"],
+        "it4": p["z2"] - p["z1"],
+        "it5": p["y2"],
+        "it6": out_of_square(two) / arcsec,
+        "it7": p["yaw2_y"] - p["y3"],
         "it10": z3 - p["z1"],
     }
-    found |= {"ex_thA": (p["A_v"] - INDEX) * arcsec, "ex_thB": (p["B_v"] - INDEX) * arcsec, "ex_sigrad": 2.3 * arcsec,
-              "ex_prad": hypot(LENGTH["A"], LENGTH["B"]) / (LENGTH["B"] - LENGTH["A"]) * p["ex_sigrad"]}
+    found |= {
+        "ex_thA": (p["A_v"] - INDEX) * arcsec,
+        "ex_thB": (p["B_v"] - INDEX) * arcsec,
+        "ex_sigrad": 2.3 * arcsec,
+        "ex_prad": hypot(LENGTH["A"], LENGTH["B"]) / (LENGTH["B"] - LENGTH["A"]) * p["ex_sigrad"],
+    }
     return found
 
 

@@ -21,7 +21,6 @@ from . import formulas
 from .readings import INSTRUMENTS, NEAR_AND_FAR, SIGHTS, TABLES, WIRES, Circle, Readings
 
 
-
 def on_target(centre_h: Any, centre_v: Any, circle_h: Any, circle_v: Any, angle: Any) -> Any:
     """Readings of both circles on one target, each with a centre and an eccentricity of its own (eq 4-6) [rad]."""
     return vertcat(one_circle(centre_h, circle_h, angle), centre_v + upward(circle_v, angle))

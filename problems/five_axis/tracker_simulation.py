@@ -7,14 +7,14 @@ The paper fits every circle by itself and draws the axis through two centres; so
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from casadi import asin
 
-from calib import Direction, Observations, Problem, Quantity, Shared, Unknown, linearise
-from calib.analyse.covariance import covariance
+from calib import Direction, Observations, Problem, Quantity, Unknown, covariance, linearise
 from calib.geometry import dot, signed_line_distance, unit
 from calib.units import arcsec, degree, metre, mm, ppm, um
 from problems.circle import point_on_circle
@@ -27,15 +27,13 @@ ARC = {"roll": 360 * degree, "pitch": 90 * degree}
 ARC_90 = {"roll": 90 * degree, "pitch": 90 * degree}
 POINTS, TRIALS, U_PER_METRE = 19, 15, 5 * ppm
 PRINTED = ("tr_s_int", "tr_s_perp", "tr_s_int90", "tr_s_perp90")
-# A standard deviation of 15 trials lies within these factors of the true one with 95 % probability: the roots of the
-# 2.5 % and 97.5 % quantiles of chi-squared with 14 degrees of freedom, 5.629 and 26.119, over 14.
-SAMPLING = (float(np.sqrt(5.629 / 14)), float(np.sqrt(26.119 / 14)))
-NOT_PRINTED
-
-
-= ("the distances of the tracker and of the reflectors of one axis, and
-where the arcs of 90 degrees begin, are not printed and "
-               "decide it (the radii, not printed either, do not: the u of a centre does not depend on the radius)")
+# A standard deviation of 15 trials lies within these factors of the true one with 95 % probability: roots of the 2.5 %
+# and 97.5 % quantiles of chi-squared with 14 degrees of freedom, 5.629 and 26.119, over 14.
+SAMPLING = (float(np.sqrt(5.629 / (TRIALS - 1))), float(np.sqrt(26.119 / (TRIALS - 1))))
+NOT_PRINTED = (
+    "the distance of the tracker, the spacing of the reflectors of an axis, and where the arcs of 90 degrees begin are "
+    "not printed, and they decide it (the radii, not printed either, do not: u of a centre does not depend on them)"
+)
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ class Assumed:
 
     distance: from the tracker to the reflectors, so that each coordinate has u = 5 um/m distance [m]; spacing: between
     the two reflectors of an axis, the crossing half-way [m]; radius: of the circles [m]; begin: direction in which the
-    arcs of 90 degrees begin, counted from the horizontal [rad].
+    arcs begin, counted from the horizontal about the axis [rad].
     """
 
     distance: float = 1.5 * metre
@@ -52,12 +50,12 @@ class Assumed:
     radius: float = 150 * mm
     begin: float = 0.0
 
-
-def in_words(assumed: Assumed) -> str:
-    """An assumption as a sentence."""
-    return (f"tracker {assumed.distance:g} m away (u = {U_PER_METRE * assumed.distance / um:g} um for each coordinate), reflectors of an axis "
-            f"{assumed.spacing:g} m apart with the crossing half-way, radius {assumed.radius / mm:g} mm, arcs from "
-            f"{assumed.begin / degree:g} deg against the horizontal")
+    def __str__(self) -> str:
+        return (
+            f"tracker {self.distance:g} m away (u = {U_PER_METRE * self.distance / um:g} um for each coordinate), "
+            f"reflectors of an axis {self.spacing:g} m apart, the crossing half-way, radius {self.radius / mm:g} mm, "
+            f"arcs from {self.begin / degree:g} deg against the horizontal"
+        )
 
 
 def perpendicularity(near: Any, far: Any, other_near: Any, other_far: Any) -> Any:
@@ -76,7 +74,7 @@ def printed_lines() -> tuple[float, float]:
     return float(perpendicularity(*ends)), float(intersection(*ends))
 
 
-def declare(arc: dict[str, float], assumed: Assumed = Assumed()) -> Problem:
+def declare(arc: Mapping[str, float], assumed: Assumed = Assumed()) -> Problem:
     """Four circles, two for each axis, without readings; perpendicularity and intersection as quantities.
 
     arc: of each axis [rad]; assumed: what the paper does not print. Start values are the true ones.
@@ -84,44 +82,77 @@ def declare(arc: dict[str, float], assumed: Assumed = Assumed()) -> Problem:
     circles = [(axis, end) for axis in AXES for end in (-0.5, 0.5)]
     keys = [f"{axis} {'near' if end < 0 else 'far'}" for axis, end in circles]
     along = np.array([unit(ALONG[axis]) for axis, _ in circles])
-    centres = np.array([POINT[axis] for axis, _ in circles]) + along * np.array([[end * assumed.spacing] for _, end in circles])
-    up = np.array([0.0, 0.0, 1.0])
-    level = np.cross(along, up)
-    centre = Unknown("centre", centres, "mm", keys=keys)
+    ends = np.array([[end * assumed.spacing] for _, end in circles])
+    level = np.cross(along, [0.0, 0.0, 1.0])
+    centre = Unknown("centre", np.array([POINT[axis] for axis, _ in circles]) + along * ends, "mm", keys=keys)
     normal = Direction("normal", along, keys=keys)
     radius = Unknown("radius", np.full((4, 1), assumed.radius), "mm", keys=keys)
     sweep = [assumed.begin + np.linspace(0.0, arc[axis], POINTS) for axis, _ in circles]
     foot = Unknown("foot", np.concatenate(sweep)[:, None], "deg")
     circle = np.repeat(np.arange(4), POINTS)
-    points = Observations(point_on_circle, foot.each, centre[circle], normal[circle], radius[circle], level[circle],
-                          u=U_PER_METRE * assumed.distance, group="points", unit="mm", components=("x", "y", "z"))
-    ends = [centre[i] for i in range(4)]
-    return Problem([points], name="tracker on two axes", quantities=[
-        Quantity("perpendicularity", perpendicularity, *ends, unit="arcsec"),
-        Quantity("intersection", intersection, *ends, unit="um")])
+    points = Observations(
+        point_on_circle,
+        foot.each,
+        centre[circle],
+        normal[circle],
+        radius[circle],
+        level[circle],
+        u=U_PER_METRE * assumed.distance,
+        group="points",
+        unit="mm",
+        components=("x", "y", "z"),
+    )
+    centres = [centre[i] for i in range(4)]
+    return Problem(
+        [points],
+        name="tracker on two axes",
+        quantities=[
+            Quantity("perpendicularity", perpendicularity, *centres, unit="arcsec"),
+            Quantity("intersection", intersection, *centres, unit="um"),
+        ],
+    )
 
 
-def predicted(arc: dict[str, float], assumed: Assumed = Assumed()) -> tuple[float, float]:
+def predicted(arc: Mapping[str, float], assumed: Assumed = Assumed()) -> tuple[float, float]:
     """Standard uncertainties of perpendicularity [rad] and intersection [m] before anything is measured."""
     u = covariance(linearise(declare(arc, assumed))).u
     return float(u[0]), float(u[1])
 
 
-def sweep(printed: dict[str, float]) -> list[dict[str, float | bool]]:
+def scatter(assumed: Assumed) -> dict[str, float]:
+    """The four standard deviations of section 7 under an assumption, by key, in um and arcsec."""
+    (square, apart), (square_90, apart_90) = predicted(ARC, assumed), predicted(ARC_90, assumed)
+    return dict(zip(PRINTED, (apart / um, square / arcsec, apart_90 / um, square_90 / arcsec)))
+
+
+def sweep(printed: Mapping[str, float]) -> list[dict[str, float | bool]]:
     """Which assumptions give the printed scatter of section 7.
 
-    printed: the four printed standard deviations by key, in um and arcsec. Returns one line for each assumption: the four predicted
-    ones, and whether all printed ones lie in the 95 % sampling interval of 15 trials.
+    printed: the four printed standard deviations by key, in um and arcsec. Returns one line for each assumption: the
+    four predicted ones, and whether all printed ones lie in the 95 % sampling interval of 15 trials.
     """
-    lines = []
+    places = (
+        (1.0, 1.0, 0.15),
+        (1.5, 1.0, 0.05),
+        (1.5, 1.0, 0.15),
+        (1.5, 1.0, 0.3),
+        (1.5, 2.0, 0.15),
+        (2.0, 1.0, 0.15),
+        (3.0, 2.0, 0.15),
+    )
+    lines: list[dict[str, float | bool]] = []
     for begin in (0.0, 45.0, 90.0, 135.0):
-        for distance, spacing, radius in ((1.0, 1.0, 0.15), (1.5, 1.0, 0.05), (1.5, 1.0, 0.15), (1.5, 1.0, 0.3), (1.5, 2.0, 0.15),
-                                          (2.0, 1.0, 0.15), (3.0, 2.0, 0.15)):
-            assumed = Assumed(distance, spacing, radius, begin * degree)
-            both = [predicted(arc, assumed) for arc in (ARC, ARC_90)]
-            values = {"tr_s_int": both[0][1] / um, "tr_s_perp": both[0][0] / arcsec, "tr_s_int90": both[1][1] / um,
-                      "tr_s_perp90": both[1][0] / arcsec}
+        for distance, spacing, radius in places:
+            values = scatter(Assumed(distance, spacing, radius, begin * degree))
             inside = all(SAMPLING[0] <= printed[key] / values[key] <= SAMPLING[1] for key in PRINTED)
-            lines.append({"tracker_distance_m": distance, "spacing_m": spacing, "radius_mm": radius / mm, "arc_begins_deg": begin,
-                          **values, "gives_the_printed_numbers": inside})
+            lines.append(
+                {
+                    "tracker_distance_m": distance,
+                    "spacing_m": spacing,
+                    "radius_mm": radius / mm,
+                    "arc_begins_deg": begin,
+                    **values,
+                    "gives_the_printed_numbers": inside,
+                }
+            )
     return lines
