@@ -137,6 +137,9 @@ class Problem(Frozen):
                 raise DeclarationError(f"{self.name} has no unknown '{what}'; {self._known(list(by_name), str(what))}")
             selection = Selection(by_name[what])
         if selection.unknown not in self.unknowns:
+            if selection.unknown.name in [u.name for u in self.unknowns]:
+                raise DeclarationError(f"'{selection.unknown.name}' of {self.name} is another unknown of the same name; use the "
+                                       "handle that this problem was declared with, or its name.")
             raise DeclarationError(f"unknown '{selection.unknown.name}' does not occur in {self.name}; "
                                    f"{self._known([u.name for u in self.unknowns], selection.unknown.name)}")
         return selection
