@@ -103,7 +103,7 @@ def test_an_effect_that_acts_nowhere_is_refused_with_what_there_is(effect, words
 
 @pytest.mark.parametrize("make, words", [
     (lambda p: p.hold("hight"), "has no unknown 'hight'; did you mean 'height'"),
-    (lambda p: p.hold(Unknown("height")), "does not occur in sagging beam"),
+    (lambda p: p.hold(Unknown("weight")), "does not occur in sagging beam"),
     (lambda p: p.with_readings({"sagg": [1.0]}), "no observations 'sagg'; did you mean 'sag'"),
     (lambda p: Problem([]), "no observations"),
     (lambda p: Problem([*p.observations, *p.observations]), "two groups are called 'sag'"),
