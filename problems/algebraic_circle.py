@@ -57,6 +57,14 @@ def taubin(points: Array) -> Array:
     return _algebraic(points, mean_squared_gradient)
 
 
+def checked(points: ArrayLike) -> Array:
+    """Points as an array (n, 3) [m]. Raises InputError for another shape."""
+    points = np.asarray(points, float)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"points have shape {points.shape}; give (n, 3): x, y and z of each point in metres")
+    return points
+
+
 def space_circle(points: ArrayLike, fit: Callable[[Array], Array] = pratt, command: ArrayLike | None = None,
                  axis: ArrayLike | None = None) -> SpaceCircle:
     """A space circle: the plane by the least squares of the offsets, the circle in it by an algebraic fit.
@@ -66,7 +74,7 @@ def space_circle(points: ArrayLike, fit: Callable[[Array], Array] = pratt, comma
     Without either, the points are taken to follow each other by less than half a turn, right-handed about the normal.
     Raises InputError for fewer than three points, points at one position or on a line.
     """
-    points = np.asarray(points, float)
+    points = checked(points)
     if len(points) < 3:
         raise InputError(f"{len(points)} points do not fix a circle in space; measure at least three positions")
     middle = points.mean(axis=0)

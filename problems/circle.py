@@ -1,25 +1,37 @@
-"""Space circle: orthogonal distance through points with a covariance each, and the paper's pairwise objectives.
+"""Space circle: orthogonal distance through points with a covariance each.
 
 Every point has its foot on the circle, whose angle is an unknown of its own (errors in variables): the residual is the
 whole vector from the foot to the point, weighed by the 3x3 covariance of that point.
-Source of the pairwise objectives and of the weights: Li, Cao, Qu 2020, equations 8 to 14 ("the paper").
+Source: Forbes 1989, NPL report DITC 140/89, least-squares best-fit geometric elements; `problems.pairwise_circle` holds
+the objectives of Li, Cao, Qu 2020 for the same circle.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib import Constraint, Direction, Gaussian, Observations, Problem, Quantity, Shared, Unknown, direct, simulate
-from calib.errors import InputError
-from calib.geometry import cross, dot, norm, unit
-from calib.units import arcsec, degree, mm, um
-from instruments import laser_tracker
-from problems import algebraic_circle
+from calib import (
+    Direction,
+    Effect,
+    Gaussian,
+    Observations,
+    Parameter,
+    Problem,
+    Quantity,
+    Shared,
+    Unknown,
+    direct,
+    simulate,
+)
+from calib.geometry import cross, dot, unit
+from calib.units import arcsec, degree, hour, mm, um
+from instruments import influence, laser_tracker
+from problems import algebraic_circle, pairwise_circle
 from problems.algebraic_circle import SpaceCircle
 
 if TYPE_CHECKING:
@@ -27,6 +39,8 @@ if TYPE_CHECKING:
     from calib.settings import Settings
 
 Array = NDArray[np.float64]
+AXIS = "ISO 230-7:2015, error motions of an axis of rotation"
+STAND = "stand and floor under a measuring instrument, bench experience"
 
 
 # --- the physics -------------------------------------------------------------------------------------------------
@@ -49,6 +63,27 @@ def turned(foot: Any, first_foot: Any) -> Any:
     return foot - first_foot
 
 
+def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
+    """Second harmonics of the circle, in the plane and along the axis; drift and steps of the measuring frame.
+
+    blocks: values of covariate `block` at which the frame may have jumped. Inputs: covariates `time` [s], `block`.
+    """
+    size = (0.2 * um, 100.0 * um)
+    pair = (Parameter("c", "um", size), Parameter("s", "um", size))
+    axes = (("x", (1, 0, 0)), ("y", (0, 1, 0)), ("z", (0, 0, 1)))
+    return (
+        Effect("ovality", "point", lambda value, p, foot, centre:
+               (p.c * ca.cos(2.0 * foot) + p.s * ca.sin(2.0 * foot)) * unit(value - centre), pair, "radius",
+               source=AXIS),
+        Effect("axial_runout_2x", "point", lambda value, p, foot, normal:
+               (p.c * ca.cos(2.0 * foot) + p.s * ca.sin(2.0 * foot)) * normal, pair, "axis", source=AXIS),
+        *(influence.drift("point", "um", (1.0 * um / hour, 200.0 * um / hour), channel=name, along=along, source=STAND)
+          for name, along in axes),
+        *(step for name, along in axes
+          for step in influence.steps("point", "um", (2.0 * um, 500.0 * um), blocks, channel=name, along=along,
+                                      source=STAND)))
+
+
 # --- the declaration ---------------------------------------------------------------------------------------------
 
 
@@ -64,10 +99,11 @@ def declare(points: ArrayLike, u: ArrayLike | Gaussian, command: ArrayLike | Non
 
     points: (n, 3) [m]; u: standard uncertainties [m], a number, (3,) or (n, 3), or Gaussian.matrix of (n, 3, 3) [m^2].
     command: (n,) [rad] commanded angles, where the points do not follow each other by less than half a turn.
-    begin: start values; the algebraic start where None. rows: (n,) row numbers of the file; covariates: {name: (n,)}.
+    begin: start values; the algebraic start where None. rows: (n,) row numbers of the file; covariates: time [s],
+    block, each (n,), which bring their effects. Every effect is attached, zero and held.
     Raises InputError for fewer than three points, points at one position or on a line.
     """
-    points = _checked(points)
+    points = algebraic_circle.checked(points)
     begin = start(points, command) if begin is None else begin
     n = len(points)
     centre = Unknown("centre", begin.centre, unit="mm", parts=("x", "y", "z"))
@@ -77,117 +113,10 @@ def declare(points: ArrayLike, u: ArrayLike | Gaussian, command: ArrayLike | Non
     measured = Observations(point_on_circle, foot.each, centre, normal, radius, Shared(begin.reference),
                             readings=points, u=u, group="points", unit="mm", components=("x", "y", "z"), rows=rows,
                             covariates={"position": np.arange(1, n + 1), **(covariates or {})})
+    blocks = np.unique(measured.covariates["block"])[1:] if "block" in measured.covariates else ()
+    candidates = [e for e in effects(blocks) if set(e.inputs) & {"time", "block"} <= set(measured.covariates)]
     angle = Quantity("angle", turned, foot.each, foot[np.zeros(n, dtype=int)], unit="deg", keys=range(1, n + 1))
-    return Problem([measured], quantities=[angle], name="space circle")
-
-
-def _checked(points: ArrayLike) -> Array:
-    points = np.asarray(points, float)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"points have shape {points.shape}; give (n, 3): x, y and z of each point in metres")
-    return points
-
-
-# --- the paper's objectives, solved by the engine ----------------------------------------------------------------
-
-
-def distance_difference(point: Any, other: Any, centre: Any) -> Any:
-    """Difference of the distances [m] of two points (3,) from the centre (3,). Source: the paper, equations 4 and 5."""
-    return norm(point - centre) - norm(other - centre)
-
-
-def weighted_square_difference(point: Any, other: Any, weight: Any, other_weight: Any, centre: Any) -> Any:
-    """Difference of weighted squared distances [m^2], as printed. Source: the paper, first term of equation 14."""
-    return weight * dot(point - centre, point - centre) - other_weight * dot(other - centre, other - centre)
-
-
-def plane_distance(point: Any, plane: Any) -> Any:
-    """Distance [m] of a point (3,) from the plane A x + B y + C z + D = 0. Source: the paper, equation 6."""
-    return (dot(plane[:3], point) + plane[3]) / norm(plane[:3])
-
-
-def squared_length_of_normal(plane: Any) -> Any:
-    """A^2 + B^2 + C^2 of a plane (4,), which equation 6 leaves open."""
-    return dot(plane[:3], plane[:3])
-
-
-def pairwise(points: ArrayLike, begin: SpaceCircle | None = None) -> Problem:
-    """The objective of equation 8: all differences of distances, and distances from the plane, in metres, u = 1 m.
-
-    points: (n, 3) [m]; begin: start values. v'Pv is F of equation 8: a pair counts twice, a plane distance n times.
-    The stated u are those counts and no uncertainty: what `covariance` says of this problem is not that of the circle.
-    The two constraints are not printed; without them the centre slides along the axis and the plane's scale is free.
-    """
-    points, (i, j) = _checked(points), np.triu_indices(len(points), 1)
-    return _pairwise(points, begin, "equation 8", distance_difference, (points[i], points[j]), np.sqrt(0.5),
-                     np.sqrt(1.0 / len(points)))
-
-
-def weighted_pairwise(points: ArrayLike, weights: ArrayLike, begin: SpaceCircle | None = None) -> Problem:
-    """The objective of equation 14 as printed, which is not zero on an exact circle unless all weights are equal.
-
-    points: (n, 3) [m]; weights: (n,) that sum to one; begin: start values. Readings as in `pairwise`.
-    """
-    points, w, (i, j) = _checked(points), np.asarray(weights, float), np.triu_indices(len(points), 1)
-    return _pairwise(points, begin, "equation 14", weighted_square_difference, (points[i], points[j], w[i], w[j]),
-                     np.sqrt(0.5), 1.0 / np.sqrt(len(points) * w))
-
-
-def repaired_pairwise(points: ArrayLike, weights: ArrayLike, begin: SpaceCircle | None = None) -> Problem:
-    """Equation 14 as it must be meant: a pair weighs as the product of its weights, a plane distance as its weight.
-
-    points: (n, 3) [m]; weights: (n,) that sum to one; begin: start values. The sum of w_i w_j (d_i - d_j)^2 over the
-    pairs is the weighted variance of the distances, so this is the weighted orthogonal fit up to the axial part of d.
-    """
-    points, w, (i, j) = _checked(points), np.asarray(weights, float), np.triu_indices(len(points), 1)
-    return _pairwise(points, begin, "equation 14 repaired", distance_difference, (points[i], points[j]),
-                     1.0 / np.sqrt(w[i] * w[j]), 1.0 / np.sqrt(w))
-
-
-def _pairwise(points: Array, begin: SpaceCircle | None, name: str, difference: Callable[..., Any],
-              rows: tuple[Array, ...], u_pairs: ArrayLike, u_plane: ArrayLike) -> Problem:
-    begin = start(points) if begin is None else begin
-    centre = Unknown("centre", begin.centre, unit="mm", parts=("x", "y", "z"))
-    plane = Unknown("plane", np.append(begin.normal, -begin.normal @ begin.centre), parts=("A", "B", "C", "D"))
-    count = len(points) * (len(points) - 1) // 2
-    pairs = Observations(difference, *rows, centre, readings=np.zeros(count), u=np.broadcast_to(u_pairs, (count,)),
-                         group="pairs", unit="mm" if difference is distance_difference else "mm^2")
-    offsets = Observations(plane_distance, points, plane, readings=np.zeros(len(points)),
-                           u=np.broadcast_to(u_plane, (len(points),)), group="plane", unit="mm")
-    conditions = (Constraint("unit normal", squared_length_of_normal, plane, lower=1.0, upper=1.0, tolerance=1e-12),
-                  Constraint("centre in plane", plane_distance, centre, plane, tolerance=1e-12, unit="mm"))
-
-    def mean_distance(centre: Any) -> Any:
-        return sum(norm(ca.DM(point) - centre) for point in points) / len(points)
-    return Problem([pairs, offsets], conditions, [Quantity("radius", mean_distance, centre, unit="mm")], name=name)
-
-
-# --- the paper's weights -----------------------------------------------------------------------------------------
-
-
-def weights(u: ArrayLike) -> Array:
-    """The weights that equations 9 to 13 lead to: inverse squares of the combined uncertainty, summing to one.
-
-    u: (n,) or (n, 3) standard uncertainties of the points [m]. The equations are linear with this one solution;
-    the printed "several solutions, of which one meets the requirements" are not there.
-    """
-    u = np.asarray(u, float)
-    square = u**2 if u.ndim == 1 else np.sum(u**2, axis=1)
-    return (1.0 / square) / np.sum(1.0 / square)
-
-
-def weight_problem(u: ArrayLike) -> Problem:
-    """Equations 10 to 12 declared: the sum of squares of weight times uncertainty is least, the weights sum to one.
-
-    u: (n,) combined standard uncertainties of the points [m]; only their ratios matter, so they enter as such.
-    """
-    ratio = np.asarray(u, float) / np.min(u)
-    n = len(ratio)
-    weight = Unknown("weight", np.full(n, 1.0 / n), parts=[str(i + 1) for i in range(n)])
-    terms = Observations(lambda weight, ratio: weight * ratio, weight, ratio[None, :], readings=np.zeros((1, n)), u=1.0,
-                         group="weighted uncertainty")
-    total = Constraint("sum of weights", lambda weight: ca.sum1(weight), weight, lower=1.0, upper=1.0, tolerance=1e-12)
-    return Problem([terms], [total], name="equations 10 to 13")
+    return Problem([measured], quantities=[angle], effects=candidates, name="space circle")
 
 
 # --- jobs and examples -------------------------------------------------------------------------------------------
@@ -198,8 +127,8 @@ accepts = ("circle",)
 def from_job(job: Job) -> Problem:
     """A space circle from a job.
 
-    Table `points`: x, y, z (length), optionally `command` (angle). Its instrument: kind = "coordinates" with one u
-    for all coordinates, or kind = "laser_tracker" with sigma_range, sigma_azimuth, sigma_zenith, or u = "a + b L".
+    Table `points`: x, y, z (length), optionally command (angle), time, block. Its instrument: kind = "coordinates" with
+    one u for all coordinates, or kind = "laser_tracker" with sigma_range, sigma_azimuth, sigma_zenith, or u = "a + b L".
     """
     table = job.table("points")
     points = np.column_stack([table.number(name, "length") for name in ("x", "y", "z")])
@@ -211,7 +140,27 @@ def from_job(job: Job) -> Problem:
     else:
         polar = laser_tracker.polar_readings(points)
         u = Gaussian.matrix(laser_tracker.cartesian_covariance(polar, stated_by_tracker(instrument, polar)))
-    return declare(points, u, command, rows=table.row_numbers)
+    covariates: dict[str, Any] = {}
+    if table.has("time"):
+        covariates["time"] = (table.number("time", "time") - table.number("time", "time")[0], "min")
+    if table.has("block"):
+        covariates["block"] = table.whole("block")
+    return declare(points, u, command, rows=table.row_numbers, covariates=covariates)
+
+
+def formulations(job: Job) -> dict[str, Problem]:
+    """The objectives of the paper beside the orthogonal distance, for the points of a job.
+
+    Weights by equations 9 to 13, from the stated covariance of each point. The u of these objectives are counts and
+    weights, not uncertainties of readings.
+    """
+    problem = from_job(job)
+    seen = problem.observations[0]
+    points = np.asarray(seen.readings)
+    weight = pairwise_circle.weights(seen.uncertainty.weighting(seen.n, 3, "points").u)
+    return {"orthogonal distance": problem, "equation 8": pairwise_circle.pairwise(points),
+            "equation 14": pairwise_circle.weighted_pairwise(points, weight),
+            "equation 14 repaired": pairwise_circle.repaired_pairwise(points, weight)}
 
 
 def stated_by_tracker(instrument: Settings, polar: Array) -> Array:

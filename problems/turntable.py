@@ -30,7 +30,7 @@ from calib.geometry import Transform, cross, matrix, norm, product
 from calib.job import MEASUREMENTS
 from calib.units import arcsec, degree, kelvin_from_celsius, minute, mm, um
 from instruments import laser_tracker
-from problems import algebraic_circle, circle
+from problems import algebraic_circle, circle, pairwise_circle
 from problems.circle import in_plane
 from problems.turntable_effects import table_effects, tracker_effects
 
@@ -186,7 +186,8 @@ def declare_paper(points: ArrayLike, weights: ArrayLike | None = None) -> Proble
     points: (n, 3) [m]; weights: (n,) of equations 9 to 13, or None. Quantity `angles`: turned, axial, distance.
     """
     points = np.asarray(points, float)
-    problem = circle.pairwise(points) if weights is None else circle.weighted_pairwise(points, weights)
+    problem = (pairwise_circle.pairwise(points) if weights is None
+               else pairwise_circle.weighted_pairwise(points, weights))
     centre, plane = (problem.select(name).unknown for name in ("centre", "plane"))
 
     def angles(point: Any, first: Any, centre: Any, plane: Any) -> Any:

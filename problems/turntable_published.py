@@ -14,7 +14,7 @@ import numpy as np
 from calib.table import Table, shipped
 from calib.units import arcsec, degree, mm, ppm
 from calib.workflow.reproduce import Item, Printed, Reproduction
-from problems import circle, turntable_findings
+from problems import circle, pairwise_circle, turntable_findings
 from problems.turntable_tables import DISTANCE, RADIUS, U_POLYGON, Methods, compare_methods, growth_of
 
 ASSUMED = (f"u assumes the tracker {DISTANCE:g} m away with its stated U = 0.015 mm + 0.006 mm/m L (k = 2) on each "
@@ -107,7 +107,7 @@ def setting_items(tables: dict[str, Table], joint: Methods) -> Iterator[Item]:
         if key == "n_equations":
             n = len(joint.command)
             begin = circle.example_points(0)[0]
-            value = float(sum(o.n for o in circle.pairwise(begin[:n]).observations))
+            value = float(sum(o.n for o in pairwise_circle.pairwise(begin[:n]).observations))
             printed = Printed(str(text), n * (n - 1) / 2 + n, 0.5, "1", printed.quantity)
             more = {"evaluated_for_N": n, "independent_equations": 2 * n - 1, "printed_text": str(text)}
             why = (f"printed as a formula, evaluated for the N = {n} of table 1. As a count of rows it holds; only N - "
