@@ -139,44 +139,43 @@ def effects(blocks: Sequence[int] = (), interpolation_period: float = 10 * arcse
     )
 
 
-def example(seed: int, divisions: int = 8) -> Problem:
-    """Polygon and table calibrated against each other: the polygon mounted on every division, read on every face;
-    simulated readings.
+def example(seed: int) -> Problem:
+    """A polygon and a table calibrated against each other, after a mirror at known angles; simulated readings.
 
-    The last mounting is read in both axes, after a mirror of known tilt angles has been read. seed: of the simulated
-    noise; divisions: faces.
-    Returns the problem, its circles closed by constraints, with every effect of this module as a held candidate.
+    The eight-sided polygon is mounted on each position of the table; in the last two mountings both axes are read.
+    seed: of the simulated noise. Returns the problem, its circles closed by constraints, with every effect of this
+    module as a held candidate.
     """
-    keys = [str(i) for i in range(1, divisions + 1)]
-    drawn = np.random.default_rng(seed).normal(size=(2, divisions)) * 1.5 * arcsec
-    face_start, table_start = drawn - drawn.mean(axis=1, keepdims=True)
-    face, table = (Unknown(name, np.zeros((divisions, 1)), "arcsec", keys=keys) for name in ("face", "table"))
-    pyramid = Unknown("pyramid", np.zeros((divisions, 1)), "arcsec", keys=keys)
-    zero = Unknown("zero", np.zeros((divisions - 1, 1)), "arcsec")
-    both_zeros = Unknown("both_zeros", np.zeros(2), "arcsec", parts=("horizontal", "vertical"))
+    count = 8
+    face, table, pyramid = (Unknown(name, np.zeros((count, 1)), "arcsec", keys=range(1, count + 1))
+                            for name in ("face", "table", "pyramid"))
+    zero, both_zeros = Unknown("zero", np.zeros((6, 1)), "arcsec"), Unknown("both_zeros", np.zeros((2, 2)), "arcsec")
     mirror_zero = Unknown("mirror_zero", 0.0, "arcsec")
-    mounting, turn = (axis.ravel()
-                      for axis in np.meshgrid(np.arange(divisions - 1), np.arange(divisions), indexing="ij"))
 
-    def influences(turns: np.ndarray, start: float, blocks: np.ndarray) -> dict[str, Any]:
-        time = start + np.arange(len(turns)) * minute
-        return {"time": (time, "s"), "temperature_difference": (0.1 * np.sin(time / hour), "K"), "block": blocks,
-                "table_angle": (2 * np.pi * turns / divisions, "rad")}
+    def mounted(mountings: int) -> tuple[np.ndarray, np.ndarray]:
+        """Mounting and position of the table, reading after reading."""
+        return np.repeat(np.arange(mountings), count), np.tile(np.arange(count), mountings)
 
-    one_axis = Observations(polygon_face, face[(turn + mounting) % divisions], table[turn], zero[mounting],
-                            u=0.05 * arcsec, group="one axis",
-                            unit="arcsec", covariates=influences(turn, 0.0, 1 + mounting))
-    last = np.arange(divisions)
-    two_axes = Observations(polygon_face_in_two_axes, face[(last + divisions - 1) % divisions],
-                            pyramid[(last + divisions - 1) % divisions], table[last], both_zeros, u=0.05 * arcsec,
-                            group="two axes",
-                            unit="arcsec", components=("horizontal", "vertical"),
-                            covariates=influences(last, len(turn) * minute, np.full(divisions, divisions)))
+    def influences(position: np.ndarray, start: float) -> dict[str, Any]:
+        time = start + np.arange(len(position)) * minute
+        return {"time": (time, "s"), "temperature_difference": (0.1 * np.sin(time / hour), "K"),
+                "block": np.where(time < 30 * minute, 1.0, 2.0), "table_angle": (2 * np.pi * position / count, "rad")}
+
     known = np.linspace(-20.0, 20.0, 9) * arcsec
     mirror = Observations(indication, known, mirror_zero, u=0.05 * arcsec, group="mirror", unit="arcsec",
-                          covariates=influences(np.zeros(9), -hour, np.zeros(9)))
-    problem = Problem([one_axis, two_axes, mirror],
+                          covariates=influences(np.zeros(9), -hour))
+    mounting, position = mounted(6)
+    one_axis = Observations(polygon_face, face[(position + mounting) % count], table[position], zero[mounting],
+                            u=0.05 * arcsec, group="one axis", unit="arcsec", covariates=influences(position, 0.0))
+    mounting, position = mounted(2)
+    seen = (position + mounting + 6) % count
+    two_axes = Observations(polygon_face_in_two_axes, face[seen], pyramid[seen], table[position], both_zeros[mounting],
+                            u=0.05 * arcsec, group="two axes", unit="arcsec", components=("horizontal", "vertical"),
+                            covariates=influences(position, hour))
+    problem = Problem([mirror, one_axis, two_axes], effects=effects(blocks=(2,)), name="polygon against indexing table",
                       constraints=[closure("faces close", face), closure("table closes", table),
-                                   closure("pyramid mean", pyramid)],
-                      effects=effects(blocks=(2, divisions)), name="polygon against indexing table")
-    return simulate(problem, {face: face_start[:, None], table: table_start[:, None]}, seed)
+                                   closure("pyramid has no mean", pyramid)])
+    turns = 2 * np.pi * np.arange(count)[:, None] / count
+    truth = {face: 1.5 * arcsec * np.cos(2 * turns), table: 0.4 * arcsec * np.sin(3 * turns),
+             pyramid: 8 * arcsec * np.sin(turns)}
+    return simulate(problem, truth, seed)

@@ -12,7 +12,7 @@ Reported Cartesian coordinates are the exact transform of the polar readings; `p
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -267,34 +267,37 @@ def base_effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
 
 
 def example(seed: int) -> Problem:
-    """Nine reflectors seen from two stations, from the first in front and back sight; simulated readings.
+    """Nine reflectors and two calibrated distances, seen in both sights and from a second station; simulated readings.
 
     The frame of the first station is the datum. seed: of the simulated noise. Returns the problem with every effect
-    of this module as a held candidate.
+    of this module as a held candidate; those of the base belong to the first station.
     """
     grid = np.array([[x, y, z] for x in (1.5, 3.0, 4.0) for y, z in ((-1.5, -0.8), (0.2, 0.9), (1.8, -0.3))])
     points = Unknown("point", grid, "m", parts=("x", "y", "z"))
-    turn = 2.2
-    second = Pose("second_station",
-                  rotation=np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]),
+    c, s = np.cos(2.2), np.sin(2.2)
+    second = Pose("second_station", rotation=np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]),
                   translation=np.array([4.5, 4.0, 0.3]))
     count = len(grid)
-    statement = from_separate_statements((1 * um, 0.5e-6), (15 * um, 6e-6))
 
-    def influences(start: int) -> dict[str, Any]:
+    def sight(model: Any, *arguments: Any, group: str, start: int, blocks: ArrayLike) -> Observations:
         time = np.arange(start, start + count) * minute
-        return {"time": (time, "s"), "block": np.repeat([1, 2], [count // 2, count - count // 2]),
-                "temperature_difference": (0.5 * np.sin(3 * time / hour), "K")}
+        return Observations(model, *arguments, u=from_separate_statements((1 * um, 0.5e-6), (15 * um, 6e-6)).gaussian(),
+                            group=group, components=("range", "azimuth", "zenith"), unit=("um", "arcsec", "arcsec"),
+                            period=PERIOD, covariates={
+                                "time": (time, "s"), "temperature_difference": (0.5 * np.sin(3 * time / hour), "K"),
+                                "block": np.broadcast_to(blocks, (count,))})
 
-    stated_u = {"u": statement.gaussian(), "components": ("range", "azimuth", "zenith"),
-                "unit": ("um", "arcsec", "arcsec"),
-                "period": PERIOD}
     observations = [
-        Observations(polar, points.each, group="front sight", covariates=influences(0), **stated_u),
-        Observations(polar_in_face, points.each, -np.ones(count), group="back sight", covariates=influences(count),
-                     **stated_u),
-        Observations(polar_from_station, second, points.each, group="second station",
-                     covariates=influences(2 * count), **stated_u),
+        sight(polar, points.each, group="front sight", start=0, blocks=[1, 1, 1, 1, 2, 2, 2, 2, 2]),
+        sight(polar_in_face, points.each, -np.ones(count), group="back sight", start=count, blocks=2),
+        sight(polar_from_station, second, points.each, group="second station", start=2 * count, blocks=3),
+        Observations(_distance, points[[0, 2]], points[[8, 6]], u=3 * um, group="calibrated distances", unit="um"),
     ]
-    return simulate(Problem(observations, effects=effects(blocks=(2,)), name="laser tracker on nine reflectors"), {},
-                    seed)
+    first_station = [replace(effect, groups=("front sight", "back sight")) for effect in base_effects(blocks=(2,))]
+    problem = Problem(observations, effects=(*reading_effects(blocks=(2,)), *first_station),
+                      name="laser tracker on nine reflectors")
+    return simulate(problem, {}, seed)
+
+
+def _distance(a: Any, b: Any) -> Any:
+    return sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)

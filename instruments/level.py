@@ -76,21 +76,27 @@ def effects(blocks: Sequence[int] = (), settling_time: float = 2 * minute) -> tu
 
 
 def example(seed: int) -> Problem:
-    """A level on a turning axis, there and back over a part turn, seated anew half-way; simulated readings.
+    """A level on a small-angle generator and then on a turning axis, seated anew half-way there; simulated readings.
 
     seed: of the simulated noise. Returns the problem with every effect of this module as a held candidate.
     """
-    there = np.arange(-60.0, 61.0, 15.0)
-    angle = np.concatenate([there, there[::-1], there, there[::-1]]) * degree
-    direction = np.repeat([1.0, -1.0, 1.0, -1.0], len(there))
-    count = len(angle)
-    time = np.arange(count) * 3 * minute
+    def influences(start: float, direction: np.ndarray, seatings: np.ndarray) -> dict[str, Any]:
+        time = start + np.arange(len(seatings)) * 3 * minute
+        since = np.concatenate([np.arange(np.sum(seatings == b)) * 3 * minute for b in np.unique(seatings)])
+        return {"time": (time, "s"), "direction": direction, "block": seatings, "time_since_seating": (since, "s"),
+                "temperature_difference": (0.5 * np.sin(time / hour), "K")}
+
+    up = np.linspace(-40.0, 40.0, 9) * arcsec
+    known = np.concatenate([up, up[::-1]])
+    there = np.arange(-60.0, 61.0, 15.0) * degree
+    angle = np.concatenate([there, there[::-1], there, there[::-1]])
     axis_tilt = Unknown("axis_tilt", np.zeros(2), "arcsec", parts=("x", "y"))
-    zero = Unknown("zero", 0.0, "arcsec")
-    readings = Observations(
-        on_turning_axis, axis_tilt, angle, zero, u=0.15 * arcsec, group="level", unit="arcsec",
-        covariates={"time": (time, "s"), "direction": direction, "block": np.repeat([1, 2], count // 2),
-                    "temperature_difference": (0.5 * np.sin(time / hour), "K"),
-                    "time_since_seating": (time % (time[-1] / 2), "s")})
-    problem = Problem([readings], effects=effects(blocks=(2,)), name="level on a turning axis")
+    zero, generator_zero = Unknown("zero", 0.0, "arcsec"), Unknown("generator_zero", 0.0, "arcsec")
+    on_generator = Observations(
+        indication, known, generator_zero, u=0.15 * arcsec, group="small-angle generator", unit="arcsec",
+        covariates=influences(0.0, np.repeat([1.0, -1.0], 9), np.zeros(18)))
+    on_axis = Observations(
+        on_turning_axis, axis_tilt, angle, zero, u=0.15 * arcsec, group="turning axis", unit="arcsec",
+        covariates=influences(hour, np.repeat([1.0, -1.0, 1.0, -1.0], 9), np.repeat([1.0, 2.0], 18)))
+    problem = Problem([on_generator, on_axis], effects=effects(blocks=(2,)), name="level on a turning axis")
     return simulate(problem, {axis_tilt: np.array([3.0, -2.0]) * arcsec, zero: 12 * arcsec}, seed)
