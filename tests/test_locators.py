@@ -15,7 +15,6 @@ from calib.job import Job
 from calib.units import arcsec, hour, ppm, um
 from problems import locators
 from problems.locators import campaign, paper, sensitivity, spread, trials
-from problems.locators.effects import TARGETS, axis_group
 from problems.locators.errors import AXES, SHIFTS, TURNS, Frames, ball_centre
 from problems.locators.measured import declare
 from problems.locators.pose_error import (
@@ -25,7 +24,8 @@ from problems.locators.pose_error import (
     exact_pose_errors,
     linear_form,
 )
-from problems.locators.reproduce import reproduce
+from problems.locators.printed import reproduce
+from problems.locators.vocabulary import TARGETS, axis_group
 
 MECHANISM, POSES, TOLERANCES = paper.setup(), paper.part_poses(), paper.tolerances()
 FORM = linear_form(MECHANISM, POSES["target"], paper.DRIVEN)

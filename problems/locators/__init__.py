@@ -9,10 +9,10 @@ from __future__ import annotations
 from calib import Problem
 from problems.locators.campaign import U_AXIS, U_TRACKER, drawn_poses, job_files, measure
 from problems.locators.case import from_job
-from problems.locators.effects import effects, error_functions
 from problems.locators.measured import Locator, Readings, Setup, declare
 from problems.locators.pose_error import linear_form
-from problems.locators.reproduce import reproduce
+from problems.locators.printed import reproduce
+from problems.locators.vocabulary import effects, error_functions
 
 __all__ = ["Locator", "Readings", "Setup", "accepts", "declare", "effects", "error_functions", "example", "example_job",
            "from_job", "linear_form", "published", "reproduce"]

@@ -15,10 +15,10 @@ from calib.files import csv_text
 from calib.geometry import Transform
 from calib.units import arcsec, degree, minute, mm, um
 from instruments import laser_tracker
-from problems.locators.effects import TARGETS, axis_group
 from problems.locators.errors import AXES, Frames
 from problems.locators.kinematics import pose
 from problems.locators.measured import Locator, Readings, Setup, declare
+from problems.locators.vocabulary import TARGETS, axis_group
 
 U_AXIS = 6 * um
 U_TRACKER = (5 * um, 0.8 * arcsec, 1.0 * arcsec)

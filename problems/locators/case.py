@@ -18,6 +18,7 @@ from calib.table import Table
 from calib.units import kelvin_from_celsius, mm
 from instruments import laser_tracker
 from problems.locators.errors import AXES, Frames
+from problems.locators.identification import Knowledge, with_error_functions, with_knowledge
 from problems.locators.measured import Locator, Readings, Setup, declare
 
 KINDS = ("axis", "target")
@@ -26,23 +27,35 @@ KINDS = ("axis", "target")
 def from_job(job: Job) -> Problem:
     """The declared problem of a job: poses and tracker frame unknown, every named effect held.
 
-    job: with the table `measurements`, [instruments.locator], [instruments.tracker] and [known].
+    job: with the table `measurements`, [instruments.locator], [known], where there are targets [instruments.tracker].
+    [options] errors = "functions" frees all 21 errors of every locator as functions of the travel, with prior_length,
+    prior_angle and prior_squareness as their standard uncertainties beforehand ("named", the default: nothing is free).
     Raises InputError for an unknown kind of row, locator or target, and for what is missing.
     """
     table = job.table("measurements")
     setup = setup_of(job)
     axes, targets = readings_of_kind(table, "axis", job), readings_of_kind(table, "target", job)
     if not len(axes.rows):
-        raise InputError(f"{table.path}: no row of kind 'axis'; the readings of the locators are missing.")
-    locator, tracker = job.instruments.table("locator"), job.instruments.table("tracker")
-    u_tracker = (tracker.quantity("sigma_range", "length"), tracker.quantity("sigma_azimuth", "angle"),
-                 tracker.quantity("sigma_zenith", "angle")) if len(targets.rows) else (1.0, 1.0, 1.0)
-    return declare(setup, axes, targets if len(targets.rows) else None, u_axis=locator.quantity("sigma_axis", "length"),
-                   u_tracker=u_tracker)
+        raise InputError(f"{table.path}: no row of kind 'axis'; the readings of the locators are missing. Add them.")
+    u_axis = job.instruments.table("locator").quantity("sigma_axis", "length")
+    if not len(targets.rows):
+        problem = declare(setup, axes, None, u_axis=u_axis)
+    else:
+        tracker = job.instruments.table("tracker")
+        u_tracker = [tracker.quantity(f"sigma_{name}", kind) for name, kind in
+                     (("range", "length"), ("azimuth", "angle"), ("zenith", "angle"))]
+        problem = declare(setup, axes, targets, u_axis=u_axis, u_tracker=u_tracker)
+    if job.options.text("errors", "named", ("named", "functions")) == "named":
+        return problem
+    usual = Knowledge()
+    return with_knowledge(with_error_functions(problem), Knowledge(
+        job.options.quantity("prior_length", "length", usual.length),
+        job.options.quantity("prior_angle", "angle", usual.angle),
+        job.options.quantity("prior_squareness", "angle", usual.squareness)))
 
 
 def setup_of(job: Job) -> Setup:
-    """Locators, targets and lever arms from the table [known] of a job."""
+    """Locators, targets and lever arms from the table [known] of a job; [known.axes_read] names the axes that count."""
     known = job.known
     height, reach = known.quantity("abbe_height", "length"), known.quantity("reach_at_zero", "length")
     locators = tuple(
@@ -54,7 +67,12 @@ def setup_of(job: Job) -> Setup:
                          "ball_in_part_mm")
     targets = {one.text("id"): np.asarray(one.quantity("in_part", "length")) for one in known.tables("targets")}
     half = known.table("axis_half_range_mm")
-    return Setup(locators, targets, tuple(half.number(axis) * mm for axis in AXES))
+    read = known.table("axes_read")
+    axes = {locator.key: read.texts(locator.key, ()) for locator in locators} if len(read) else {}
+    strange = sorted({axis for chosen in axes.values() for axis in chosen} - set(AXES))
+    if strange:
+        raise InputError(f"{read.where()}: '{strange[0]}' is no axis; write some of x, y, z for each locator")
+    return Setup(locators, targets, tuple(half.number(axis) * mm for axis in AXES), axes)
 
 
 def readings_of_kind(table: Table, kind: str, job: Job) -> Readings:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from calib import Effect, Estimate, Linearisation, Problem, prior, solve, units
 from calib.geometry import Transform
 from calib.units import arcsec, um
-from problems.locators.effects import axis_group, error_functions
 from problems.locators.measured import Readings, Setup, declare, rigid_fit
+from problems.locators.vocabulary import axis_group, error_functions
 
-SEEN = 1e-6       # share of a column of unit length that no other column imitates, above which an unknown is seen
+NAMED = 0.3       # a companion is named from this share of the leader's size on
 
 
 @dataclass(frozen=True)
@@ -45,32 +45,35 @@ class Knowledge:
 class Combination:
     """A combination of errors that the readings see: its first member with factor one, and what cannot be told from it.
 
-    members: ((label, unit, factor), ...), value = sum of factor * member, in display units.
+    members: ((label, unit, factor), ...), value = sum of factor * member, in display units; derivatives: (size,) in SI
+    with respect to all columns of the linearisation.
     """
 
     members: tuple[tuple[str, str, float], ...]
+    derivatives: NDArray[np.float64]
+
+    @property
+    def leader(self) -> str:
+        """Name of the first member."""
+        return self.members[0][0]
 
     @property
     def words(self) -> str:
         """The combination as a sentence."""
-        first, *others = self.members
+        (name, unit, _), *others = self.members
         if not others:
-            return f"{first[0]} [{first[1]}] alone"
-        terms = " ".join(f"{'-' if factor < 0 else '+'} {abs(factor):.3g} {label} [{unit}]" for label, unit,
-                         factor in others[:5])
+            return f"{name} [{unit}] alone"
+        terms = [f"{'-' if factor < 0 else '+'} {abs(factor):.3g} {label} [{its_unit}]"
+                 for label, its_unit, factor in others[:5]]
         more = f" and {len(others) - 5} more" if len(others) > 5 else ""
-        return f"{first[0]} [{first[1]}], together with {terms}{more}"
-
-
-def read_locators(setup: Setup) -> list[str]:
-    """Keys of the locators of which at least one axis is read."""
-    return [locator.key for locator in setup.locators if setup.axes_of(locator.key)]
+        return f"{name} [{unit}] {' '.join(terms)}{more}"
 
 
 def with_error_functions(problem: Problem) -> Problem:
     """The same problem with all 21 errors of every locator that is read as free functions of the travel."""
-    groups = {o.group for o in problem.observations}
-    functions = [effect for key in "ABC" if axis_group(key) in groups for effect in error_functions(key)]
+    prefix = axis_group("")
+    keys = [o.group.removeprefix(prefix) for o in problem.observations if o.group.startswith(prefix)]
+    functions = [effect for key in keys for effect in error_functions(key)]
     return problem.with_effects(*functions).free(*functions)
 
 
@@ -79,60 +82,91 @@ def functions_in(problem: Problem) -> tuple[Effect, ...]:
     return tuple(effect for effect in problem.effects if effect.parameters[0].name == "constant")
 
 
-def identify(problem: Problem, knowledge: Knowledge | None = None, start: Estimate | None = None) -> Estimate:
-    """All errors at once, with the knowledge beforehand as priors: what the readings do not see keeps its prior.
+def with_knowledge(problem: Problem, knowledge: Knowledge | None = None) -> Problem:
+    """The same problem with what is known of its error functions beforehand as priors.
 
     problem: of `with_error_functions`; knowledge: standard uncertainties of the errors before the campaign.
     """
     knowledge = knowledge or Knowledge()
-    known = [prior(problem.parameters(effect), 0.0, knowledge.u(effect)) for effect in functions_in(problem)]
-    return solve(problem.with_observations(*known), start=start)
+    return problem.with_observations(
+        *(prior(problem.parameters(effect), 0.0, knowledge.u(effect)) for effect in functions_in(problem)))
 
 
-def combinations(fit: Linearisation, first: Sequence[str] = ("part", "tracker")) -> tuple[Combination, ...]:
-    """The combinations of errors that the readings see, each led by an error that stands for those like it.
+def identify(problem: Problem, knowledge: Knowledge | None = None) -> Estimate:
+    """All errors at once, with the knowledge beforehand as priors: what the readings do not see keeps its prior.
 
-    fit: linearisation of a problem of `with_error_functions`, without priors; first: unknowns that are wanted in any
-    case, whose freedom the errors cannot have. Leaders are taken in the order constant positions, squareness,
-    positions, angles. The columns of the readings' derivatives are taken up one after the other; one that those before
-    it imitate is no leader.
+    problem, knowledge: as for `with_knowledge`.
     """
-    jacobian = fit.rows[0].toarray()
+    return solve(with_knowledge(problem, knowledge))
+
+
+def combinations(fit: Linearisation, knowledge: Knowledge | None = None) -> tuple[Combination, ...]:
+    """The combinations of errors of which the readings tell more than was known before.
+
+    fit: linearisation of a problem of `with_error_functions`, without priors; knowledge: standard uncertainties of the
+    errors before the campaign. Poses and tracker come first, then the errors one after the other: constant positions,
+    squareness, positions, angles. An error leads a combination if as much of it as was possible beforehand, less what
+    poses and earlier leaders imitate, stands out of the noise; what cannot be told from the leaders is named with them.
+    """
+    known = knowledge or Knowledge()
+    size = np.full(fit.layout.size, np.inf)
+    for effect in fit.effects:
+        if effect.parameters[0].name == "constant":
+            size[fit.layout.span(fit.effects[effect])] = known.u(effect)
     columns = fit.layout.free_columns
-    labels = [fit.layout.label(c) for c in columns]
-    factors = np.array([units.factor(fit.layout.unit(c)) for c in columns])
-    size = np.linalg.norm(jacobian, axis=0)
-    scaled = jacobian / np.where(size > 0.0, size, 1.0)
-    order = sorted(np.flatnonzero(size > 0.0), key=lambda j: _rank(labels[j], first))
-    basis, leaders, others = np.zeros((len(jacobian), 0)), [], []
-    for j in order:
-        rest = scaled[:, j] - basis @ (basis.T @ scaled[:, j])
-        rest -= basis @ (basis.T @ rest)                    # twice: the second pass removes what rounding left
-        length = np.linalg.norm(rest)
-        (leaders if length > SEEN else others).append(j)
-        if length > SEEN:
-            basis = np.column_stack([basis, rest / length])
-    imitates = np.linalg.lstsq(jacobian[:, leaders], jacobian[:, others], rcond=None)[0]
-    display = imitates * factors[others] / factors[leaders][:, None]
+    size, labels = size[columns], [fit.layout.label(c) for c in columns]
+    jacobian = fit.rows[0].toarray()
+    errors = np.flatnonzero(np.isfinite(size))
+    scaled = jacobian.copy()
+    scaled[:, errors] *= size[errors]
+    wanted = np.linalg.qr(jacobian[:, np.isinf(size)] / np.linalg.norm(jacobian[:, np.isinf(size)], axis=0))[0]
+    leaders, others = _leaders(scaled, wanted, sorted(errors, key=lambda j: _rank(labels[j])))
+    basis = np.column_stack([wanted, scaled[:, leaders]])
+    imitates = np.linalg.lstsq(basis, scaled[:, others], rcond=None)[0][wanted.shape[1]:]
     found = []
     for i, j in enumerate(leaders):
-        if _rank(labels[j], first) > 0:
-            share = np.abs(imitates[i] * size[j] / size[others]) if others else np.zeros(0)
-            members = [(labels[j], fit.layout.unit(columns[j]), 1.0)]
-            members += [(labels[others[k]], fit.layout.unit(columns[others[k]]), float(display[i, k]))
-                        for k in np.argsort(-share) if share[k] > 1e-3]
-            found.append(Combination(tuple(members)))
+        derivatives = np.zeros(fit.layout.size)
+        derivatives[columns[j]], derivatives[columns[others]] = 1.0, imitates[i] * size[j] / size[others]
+        named = [j, *(others[k] for k in np.argsort(-np.abs(imitates[i])) if abs(imitates[i, k]) > NAMED)]
+        unit = [fit.layout.unit(columns[k]) for k in named]
+        factor = [derivatives[columns[k]] * units.factor(u) / units.factor(unit[0]) for k,
+                  u in zip(named, unit, strict=True)]
+        found.append(Combination(tuple(zip([labels[k] for k in named], unit, factor, strict=True)), derivatives))
     return tuple(found)
 
 
-def _rank(label: str, first: Sequence[str]) -> int:
-    if any(label.startswith(name) for name in first):
-        return 0
+def _leaders(columns: NDArray[np.float64], basis: NDArray[np.float64], order: Sequence[int]
+             ) -> tuple[list[int], list[int]]:
+    """Columns taken up in an order: those that keep more than one unit beside basis and earlier ones, and the rest."""
+    leaders, others = [], []
+    for j in order:
+        rest = columns[:, j] - basis @ (basis.T @ columns[:, j])
+        rest -= basis @ (basis.T @ rest)                    # twice: the second pass removes what rounding left
+        length = np.linalg.norm(rest)
+        if length > 1.0:
+            leaders.append(j)
+            basis = np.column_stack([basis, rest / length])
+        else:
+            others.append(j)
+    return leaders, others
+
+
+def _rank(label: str) -> int:
     if label.startswith("positioning") and label.endswith("constant"):
         return 1
     if label.startswith("squareness"):
         return 2
     return 3 if label.startswith(("positioning", "straightness")) else 4
+
+
+def leaders_only(problem: Problem, found: Sequence[Combination]) -> Problem:
+    """The same problem with the leaders of combinations free and all other errors held: regular without any prior.
+
+    problem: of `with_error_functions`; found: its combinations. What is estimated for a leader is its combination.
+    """
+    held = problem.hold(*functions_in(problem))
+    by_label = {label: (unknown, i) for unknown in problem.unknowns for i, label in enumerate(unknown.labels)}
+    return held.free(*(unknown.part(unknown.parts[i]) for unknown, i in (by_label[one.leader] for one in found)))
 
 
 def unseen(fit: Linearisation) -> tuple[str, ...]:
@@ -141,9 +175,8 @@ def unseen(fit: Linearisation) -> tuple[str, ...]:
     return tuple(fit.layout.label(c) for c, length in zip(fit.layout.free_columns, size, strict=True) if length == 0.0)
 
 
-def poses_from_axes(setup: Setup, axes: Readings, u_axis: float, functions: Mapping[Effect,
-                                                                                    NDArray[np.float64]] | None = None
-                    ) -> list[Transform]:
+def poses_from_axes(setup: Setup, axes: Readings, u_axis: float,
+                    functions: Mapping[Effect, NDArray[np.float64]] | None = None) -> list[Transform]:
     """The pose of the part that the axis readings alone give, corrected by known errors.
 
     setup; axes: readings of the poses in question; u_axis [m]; functions: {error function: its parameters}, none:

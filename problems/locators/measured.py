@@ -18,9 +18,9 @@ from calib.errors import InputError
 from calib.geometry import Transform
 from calib.units import arcsec, um
 from instruments import laser_tracker
-from problems.locators.effects import TARGETS, axis_group, effects
 from problems.locators.errors import AXES, SHIFTS, TURNS, Frames
 from problems.locators.kinematics import readings_of, target_reading
+from problems.locators.vocabulary import TARGETS, axis_group, effects
 
 TRACKER_UNITS = ("um", "arcsec", "arcsec")
 TRACKER_COMPONENTS = ("range", "azimuth", "zenith")

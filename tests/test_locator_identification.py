@@ -1,0 +1,161 @@
+"""Identification of locator errors from measured poses: what is seen, what is found, how much better poses become."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib import covariance, estimability, linearise, solve
+from calib.job import Job
+from problems import locators
+from problems.locators import campaign
+from problems.locators.identification import (
+    Knowledge,
+    combinations,
+    functions_in,
+    identified,
+    identify,
+    leaders_only,
+    pose_error,
+    poses_from_axes,
+    unseen,
+    with_error_functions,
+)
+from problems.locators.measured import declare, rigid_fit
+from problems.locators.paper import DRIVEN
+from problems.locators.vocabulary import error_functions
+
+KNOWLEDGE = Knowledge()
+FUNCTIONS = [function for key in "ABC" for function in error_functions(key)]
+CHECKS = 12
+
+
+@pytest.fixture(scope="module")
+def truth():
+    generator = np.random.default_rng(7)
+    return {function.label: generator.normal(0.0, KNOWLEDGE.u(function)) for function in FUNCTIONS}
+
+
+@pytest.fixture(scope="module")
+def measured(truth):
+    return campaign.measure(campaign.drawn_poses(24 + CHECKS, 1), 3, truth, further=FUNCTIONS, checks=CHECKS)
+
+
+def scheme(measured, name):
+    """Setup and free problem of a scheme, from the poses that are for fitting."""
+    setup = replace(measured.setup, axes=DRIVEN) if name == "six axes" else measured.setup
+    axes = measured.axes.where(measured.axes.split == "fit")
+    targets = None if name == "encoders alone" else measured.targets.where(measured.targets.split == "fit")
+    problem = declare(setup, axes, targets, u_axis=campaign.U_AXIS, u_tracker=campaign.U_TRACKER)
+    return setup, with_error_functions(problem)
+
+
+@pytest.fixture(scope="module")
+def floating(measured):
+    setup, problem = scheme(measured, "nine axes")
+    return setup, problem, combinations(linearise(problem), KNOWLEDGE)
+
+
+def true_values(fit, found, truth, problem):
+    columns = np.zeros(fit.layout.size)
+    for function in functions_in(problem):
+        columns[fit.layout.span(fit.effects[function])] = truth[function.label]
+    return np.array([one.derivatives for one in found]) @ columns
+
+
+def test_a_rigid_fit_takes_points_onto_their_moved_twins():
+    part_pose = campaign.drawn_poses(1, 4)[0]
+    points = np.random.default_rng(5).normal(size=(5, 3))
+    fitted = rigid_fit(points, part_pose @ points)
+    assert fitted.rotation == pytest.approx(part_pose.rotation, abs=1e-12)
+    assert fitted.translation == pytest.approx(part_pose.translation, abs=1e-12)
+
+
+def test_errors_that_have_no_lever_arm_are_named_as_unseen(floating):
+    _, problem, _ = floating
+    labels = unseen(linearise(problem))
+    # The ball is the reference point of body Z: it does not turn about itself, and body Y has no arm across its yaw.
+    assert set(labels) == {f"{name} ({key}).{part}" for key in "ABC" for part in ("constant", "slope")
+                           for name in ("tilt of Z about x", "tilt of Z about y", "roll of Z", "yaw of Y")}
+
+
+def test_the_rank_defect_of_all_errors_is_named_in_their_words(floating):
+    _, problem, _ = floating
+    known = estimability(linearise(problem))
+    assert known.defect >= 69
+    words = " ".join(known.directions)
+    assert "squareness Z-X" in words and "straightness of Z in x" in words and "roll of Z" in words
+
+
+def test_every_combination_that_is_seen_comes_out_within_its_uncertainty(floating, truth):
+    _, problem, found = floating
+    led = leaders_only(problem, found)
+    estimate = solve(led)
+    fit = linearise(estimate)
+    seen = covariance(fit, *(one.leader for one in found))
+    deviation = (seen.values - true_values(fit, found, truth, problem)) / seen.u
+    assert 30 < len(found) < 60
+    assert np.abs(deviation).max() < 4.5 and 0.7 < deviation.std() < 1.4
+    assert estimate.p_value > 1e-3
+
+
+def test_a_squareness_is_seen_together_with_what_acts_like_it(floating):
+    _, _, found = floating
+    words = next(one.words for one in found if one.leader == "squareness Z-X (A)")
+    for companion in ("straightness of Z in x (A).slope", "roll of Y (A).constant", "pitch of X (A).constant"):
+        assert companion in words
+
+
+def test_with_priors_the_errors_are_found_as_well_as_their_uncertainty_says(floating, truth):
+    _, problem, _ = floating
+    fit = linearise(identify(problem, KNOWLEDGE))
+    found = [covariance(fit, function.label) for function in FUNCTIONS]
+    deviation = np.concatenate([(one.values - truth[function.label]) / one.u
+                                for one, function in zip(found, FUNCTIONS, strict=True)])
+    assert len(deviation) == 144
+    assert np.sqrt(np.mean(deviation ** 2)) == pytest.approx(1.0, abs=0.25)
+    u_before = np.concatenate([KNOWLEDGE.u(function) for function in FUNCTIONS])
+    ratio = np.concatenate([one.u for one in found]) / u_before
+    assert ratio.max() < 1 + 1e-9 and np.sum(ratio < 0.8) > 20
+
+
+def held_out(measured, name):
+    """Pose error [m] of the poses that were held out, from their axes alone: nominal, and with the identified errors."""
+    setup, problem = scheme(measured, name)
+    checks, true = measured.axes.where(measured.axes.split == "check"), measured.part[-CHECKS:]
+    functions = identified(identify(problem, KNOWLEDGE))
+    return tuple(pose_error(setup, poses_from_axes(setup, checks, campaign.U_AXIS, known), true)
+                 for known in (None, functions))
+
+
+def test_identified_errors_bring_poses_that_were_held_out_nearer_to_the_truth_but_not_from_encoders_alone(measured):
+    nine, six, alone = (held_out(measured, name) for name in ("nine axes", "six axes", "encoders alone"))
+    assert nine[1] < 0.75 * nine[0] and six[1] < 0.75 * six[0]
+    assert nine[1] < six[1] < 0.75 * alone[1]
+
+
+def test_encoders_alone_see_fewer_combinations(measured, floating):
+    found = combinations(linearise(scheme(measured, "encoders alone")[1]), KNOWLEDGE)
+    assert 0 < len(found) < 0.75 * len(floating[2])
+
+
+def test_a_common_motion_of_the_hall_is_no_pose_error():
+    poses = campaign.drawn_poses(4, 9)
+    hall = campaign.drawn_poses(1, 10)[0]
+    assert pose_error(campaign.HALL, [hall @ one for one in poses], poses) < 1e-12
+
+
+def test_a_job_can_ask_for_all_errors_as_functions_and_for_some_axes_only(tmp_path):
+    extra = ('\n[known.axes_read]\nA = ["x", "y", "z"]\nB = ["y", "z"]\nC = ["z"]\n'
+             '[options]\nerrors = "functions"\nprior_length = "15 um"\n')
+    for name, text in locators.example_job(5).items():
+        (tmp_path / name).write_text(text + (extra if name.endswith(".toml") else ""))
+    job = Job.read(tmp_path / "job.toml")
+    problem = locators.from_job(job)
+    job.refuse_unknown_keys()
+    read = [o.components(o.readings.shape[1]) for o in problem.observations[:3]]
+    assert read == [("x", "y", "z"), ("y", "z"), ("z",)]
+    estimate = solve(problem)
+    assert estimate.certificate.passed and estimate.p_value > 1e-3
