@@ -67,6 +67,7 @@ def one_circle(centre: Any, eccentricity: Any, angle: Any) -> Any:
     return centre + across(eccentricity, angle)
 
 
+@hands_slots_to(theodolite.face_readings)
 def both_circles(
     centre: Any,
     eccentricity_h: Any,
@@ -95,9 +96,6 @@ def both_circles(
         face,
         **slots,
     )
-
-
-both_circles = hands_slots_to(theodolite.face_readings)(both_circles)
 
 
 def face_one(readings: ArrayLike, face: ArrayLike) -> np.ndarray:
@@ -273,6 +271,7 @@ def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
             p.hc * cos(2 * angle) + p.hs * sin(2 * angle), p.vc * cos(2 * angle) + p.vs * sin(2 * angle)
         ),
         tuple(Parameter(name, "um", (0.5 * um, 200 * um)) for name in ("hc", "hs", "vc", "vs")),
+        "target",
         per="target",
         source=RUNOUT,
     )
@@ -323,15 +322,14 @@ def from_job(job: Job) -> Problem:
         rows=data.row_numbers,
     )
     blocks = sorted(set(covariates.get("block", [])))[1:]
-    return problem.with_effects(*_usable(effects(blocks), problem, face))
+    return problem.with_effects(*_usable(effects(blocks), problem))
 
 
-def _usable(found: Sequence[Effect], problem: Problem, face: np.ndarray) -> tuple[Effect, ...]:
-    """The effects whose inputs are there, and which the format names.
+def _usable(found: Sequence[Effect], problem: Problem) -> tuple[Effect, ...]:
+    """The effects whose inputs are there.
 
-    On one face alone the index, the collimation and the trunnion axis are part of the centres, and are left as
-    candidates that say so; the standing axis and the circle eccentricity are seen only over a wide field, which one
-    axis never fills.
+    The tilt of the standing axis and the circle eccentricity are left out: a field of one axis is too narrow to see
+    them.
     """
     names = {*problem.observations[0].covariates, "angle", "face", "elevation", "horizontal_angle", "zenith_angle"}
     wide = ("standing_axis_tilt", "circle_eccentricity")
@@ -362,10 +360,48 @@ def example(seed: int) -> Problem:
             "block": np.repeat([1, 2], count // 2),
         },
     )
-    problem = problem.with_effects(*_usable(effects((2,)), problem, np.zeros(1)))
+    problem = problem.with_effects(*_usable(effects((2,)), problem))
     centre, eccentricity = (problem.select(name).unknown for name in ("centre", "eccentricity"))
     truth = {
         centre: np.array([[185.50, 87.0], [185.49, 72.0], [185.48, 99.0]]) * degree,
         eccentricity: np.array([[0.17, -0.13], [0.05, 0.11], [-0.02, 0.03]]) * mm,
     }
     return simulate(problem, truth, seed)
+
+
+def example_job(seed: int) -> dict[str, str]:
+    """A runnable job with simulated readings: {file name: text}. seed: of the noise."""
+    observations = example(seed).observations[0]
+    known = {a.name: a.data[:, 0] for a in observations.arguments if a.data is not None}
+    c = observations.covariates
+    lines = [
+        "# source: simulated, three targets over half a turn, both faces, two set-ups",
+        "row,target,face,block,direction,angle_deg,time_min,H_deg,V_deg",
+    ]
+    for i, (h, v) in enumerate(observations.readings):
+        face = 1 if known["face"][i] > 0 else 2
+        lines.append(
+            f"{i + 1},{c['target'][i]},{face},{c['block'][i]},{c['direction'][i]},{known['angle'][i] / degree:.1f},"
+            f"{c['time'][i] / minute:.1f},{h / degree % 360:.7f},{v / degree % 360:.7f}"
+        )
+    places = {t: i for i, t in reversed(list(enumerate(c["target"])))}
+    targets = "\n".join(
+        f'[[known.targets]]\nid = "{t}"\nL = "{known["distance"][i] / mm:.1f} mm"\n'
+        f'elevation = "{known["elevation"][i] / degree:.1f} deg"\n'
+        for t, i in sorted(places.items())
+    )
+    return {"job.toml": _JOB + targets, "circles.csv": "\n".join(lines) + "\n"}
+
+
+_JOB = """problem = "problems.axis_points"
+
+[data.circles]
+file = "circles.csv"
+instrument = "theodolite"
+
+[instruments.theodolite]
+kind = "theodolite"
+u_H = "1 arcsec"
+u_V = "1 arcsec"
+
+"""

@@ -10,5 +10,20 @@ Source: Ren Shunqing, Gao Kang, Zhao Hongbo, J. Harbin Inst. Tech. 47(10), 2015,
 from .adjustment import advice
 from .comparison import NAME as published
 from .comparison import reproduce
+from .jobs import accepts, columns, declare, effects, example, example_job, from_job, options
 
-__all__ = ["advice", "published", "reproduce"]
+source = "Ren, Gao, Zhao (2015), J. Harbin Inst. Tech. 47(10), 1-6"
+__all__ = [
+    "accepts",
+    "advice",
+    "columns",
+    "declare",
+    "effects",
+    "example",
+    "example_job",
+    "from_job",
+    "options",
+    "published",
+    "reproduce",
+    "source",
+]

@@ -9,11 +9,14 @@ from calib.analyse.covariance import Covariance
 from calib.units import arcsec, mm, um
 
 _TABLES = {"three_axis": "three-axis table", "two_axis": "two-axis table"}
-_NEEDED = {"plumb", "level_zero", "yaw_offset", "axis_point"}
-_CIRCLES = (
-    "Left and right, up and down hold for theodolites of the usual make (clockwise circle, zenith angles), which the "
-    "readings cannot tell; with other circles turn them about."
-)
+_NEEDED = {"plumb", "level_zero", "yaw_offset", "axis_point", "up"}
+# +1: circles that grow to the left and upward, as the paper's frame has it; -1: clockwise and zenith angles.
+_MAKE = {
+    1: "Left and right, up and down hold for circles that grow to the left and upward, as the paper's frame has it",
+    -1: "Left and right, up and down hold for a clockwise circle and zenith angles, the usual make",
+}
+_SIDES = ("left", "right")
+_MOVES = ("raise", "lower")
 
 
 def advice(fit: Linearisation) -> tuple[str, ...]:
@@ -24,8 +27,15 @@ def advice(fit: Linearisation) -> tuple[str, ...]:
     if not {unknown.name for unknown in fit.layout.unknowns} >= _NEEDED:
         return ()
     found = covariance(fit, *fit.results, "plumb", "level_zero")
+    up = next(round(float(fit.values[unknown][0, 0])) for unknown in fit.layout.unknowns if unknown.name == "up")
     levels = [sentence for table in _TABLES for sentence in _level(found, table)]
-    return (*levels, *_feet(found), *_move(found), *_axes(found), _CIRCLES)
+    return (
+        *levels,
+        *_feet(found),
+        *_move(found, up),
+        *_axes(found, up),
+        f"{_MAKE[up]}; with other circles turn them about.",
+    )
 
 
 def _level(found: Covariance, table: str) -> tuple[str, str]:
@@ -61,30 +71,30 @@ def _feet(found: Covariance) -> list[str]:
     ]
 
 
-def _move(found: Covariance) -> list[str]:
+def _move(found: Covariance, up: int) -> list[str]:
     lines = []
     for name, seen_from in (("yaw offset.y", "T1"), ("yaw offset.x", "T2")):
         value, u = (x / mm for x in found[name])
-        side = "right" if value < 0 else "left"
+        side = _SIDES[value * up > 0]
         lines.append(f"two-axis table: move {abs(value):.3f} mm (u = {u:.3f}) to the {side}, seen from {seen_from}.")
     if "pitch over pitch" in found.names:
         value, u = (x / mm for x in found["pitch over pitch"])
-        lines.append(f"two-axis table: {'raise' if value > 0 else 'lower'} by {abs(value):.3f} mm (u = {u:.3f}).")
+        lines.append(f"two-axis table: {_MOVES[value * up > 0]} by {abs(value):.3f} mm (u = {u:.3f}).")
     return lines
 
 
-def _axes(found: Covariance) -> list[str]:
+def _axes(found: Covariance, up: int) -> list[str]:
     lines = []
     for axis, words in (("pitch", "three-axis pitch axis"), ("two_axis_pitch", "two-axis pitch axis")):
         if f"square[{axis}]" in found.names:
             value, u = (x / arcsec for x in found[f"square[{axis}]"])
             lines.append(
-                f"{words}: {'raise' if value > 0 else 'lower'} the end away from T1 by {_per_metre(value):.0f} um "
+                f"{words}: {_MOVES[value * up > 0]} the end away from T1 by {_per_metre(value):.0f} um "
                 f"(u = {_per_metre(u):.0f}) for each metre between the bearings."
             )
     for axis, words in (("pitch", "three-axis pitch axis"), ("roll", "roll axis, yaw turned by 90 degrees")):
         value, u = (x / mm for x in found[f"intersection[{axis}]"])
-        side = "right" if value < 0 else "left"
+        side = _SIDES[value * up > 0]
         lines.append(
             f"{words}: move {abs(value):.3f} mm (u = {u:.3f}) to the {side}, seen from T1, to meet the yaw axis."
         )

@@ -13,7 +13,7 @@ from calib.workflow.reproduce import Item, Printed, Reproduction
 
 from . import adjustment, figures, paper_uncertainty, reasons, step_by_step, tracker_simulation
 from .readings import published
-from .results import ITEMS, JOINT, STEP, TO_THE_PLUMB_LINE, Fit, Fits, fits
+from .results import ITEMS, JOINT, STEP, TO_THE_PLUMB_LINE, USUAL, Fit, Fits, fits
 from .rounded import along_printed
 
 NAME = "five-axis"
@@ -226,7 +226,7 @@ def _studies(found: Fits, numbers: Mapping[str, float], printed: Mapping[str, Pr
         "budgets": {key: _budget(found.joint, key, printed[key].unit) for key in ITEMS},
         "montecarlo": _montecarlo(found.step, printed),
         "tracker": tracker_simulation.sweep({key: numbers[key] for key in tracker_simulation.PRINTED}),
-        "advice": list(adjustment.advice(found.joint.linear)),
+        "advice": list(adjustment.advice(found.alternatives[USUAL].linear)),
     }
 
 

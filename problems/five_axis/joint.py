@@ -1,5 +1,4 @@
-"""Everything in one problem: the axes and instruments of `world`, all tables, one circle for each target where
-accepted.
+"""Everything in one problem: axes and instruments of `world`, all tables, one circle for a target where accepted.
 
 Unknown with priors, because the paper does not print them (each has its line in the budget):
 
@@ -57,7 +56,7 @@ def declare(readings: Readings, sharing: Sharing) -> Problem:
     readings: of all tables; sharing: what is accepted as one circle. Returns the problem, its groups named as in
     `step_by_step`.
     """
-    r, up = readings, Shared(float(sharing.up))
+    r = readings
     lengths = list(r.distance)
     read = [*dict.fromkeys((*r.pitch.target, *r.roll.target))]
     targets = [*read, *r.centre]
@@ -71,8 +70,8 @@ def declare(readings: Readings, sharing: Sharing) -> Problem:
     seen_as = {f"{i} {w}": f"T1 {w}" if w in sharing.wires else f"{i} {w}" for i in INSTRUMENTS for w in WIRES}
     wire_circles = list(dict.fromkeys(seen_as.values()))
     one_circle = np.array([wire_circles.index(seen_as[f"{i} {w}"]) for i, w in zip(r.wires.instrument, r.wires.target)])
-    unknowns = _unknowns(r, axes, read, apart, wire_circles)
-    zero, index, standing = unknowns.zero, unknowns.index, unknowns.standing
+    unknowns = _unknowns(r, axes, read, apart, wire_circles, sharing.up)
+    zero, index, standing, up = unknowns.zero, unknowns.index, unknowns.standing, unknowns.up
     to_yaw = np.array([lengths.index(i) for i in INSTRUMENTS])
     table = np.repeat([0, 1], len(r.level_angle))
     levels = Observations(
@@ -85,6 +84,7 @@ def declare(readings: Readings, sharing: Sharing) -> Problem:
         u=r.u_level,
         group="table 1",
         unit="arcsec",
+        covariates={"table": np.array(TABLES)[table]},
         rows=np.tile(r.level_rows, 2),
     )
 
@@ -107,6 +107,7 @@ def declare(readings: Readings, sharing: Sharing) -> Problem:
         unit="arcsec",
         components=("H",),
         period=theodolite.PERIOD,
+        covariates={"target": r.wires.target},
         rows=r.wires.rows,
     )
 
@@ -137,6 +138,7 @@ def declare(readings: Readings, sharing: Sharing) -> Problem:
             unit="arcsec",
             components=("H", "V"),
             period=theodolite.PERIOD,
+            covariates={"target": of.target},
             rows=of.rows,
         )
 
@@ -165,7 +167,7 @@ def declare(readings: Readings, sharing: Sharing) -> Problem:
     observations += _priors(r, unknowns)
     each = np.arange(len(SIGHTS))
     at_instrument, at_wire = each // len(WIRES), each % len(WIRES)
-    quantities = _results(unknowns, axes, up) + [
+    quantities = _results(unknowns, axes) + [
         Quantity(
             "wire reading",
             world.on_wire,
@@ -199,7 +201,13 @@ def declare(readings: Readings, sharing: Sharing) -> Problem:
         ),
         Quantity("point", world.axis_point, *sight(np.array(targets)), unit="mm", parts=("y", "z"), keys=targets),
     ]
-    return Problem(observations, quantities=quantities, held=[unknowns.offset[0]], name="five-axis, jointly")
+    if r.feet:
+        table_of, x, y = zip(*r.feet.values())
+        places = np.stack([x, y], axis=1)
+        quantities.append(
+            Quantity("foot", world.raise_of_foot, unknowns.plumb[np.array(table_of)], places, unit="um", keys=r.feet)
+        )
+    return Problem(observations, quantities=quantities, held=[unknowns.offset[0], up], name="five-axis, jointly")
 
 
 @dataclass(frozen=True)
@@ -218,9 +226,12 @@ class _Unknowns:
     slope: Unknown
     circle: Unknown
     turn_error: Unknown
+    up: Unknown
 
 
-def _unknowns(r: Readings, axes: list[str], read: list[str], apart: list[str], wire_circles: list[str]) -> _Unknowns:
+def _unknowns(
+    r: Readings, axes: list[str], read: list[str], apart: list[str], wire_circles: list[str], up: int
+) -> _Unknowns:
     toward = [r.wires.reading[(r.wires.instrument == i) & (r.wires.target == "S3")].mean() for i in INSTRUMENTS]
     names = ("x", "y")
     return _Unknowns(
@@ -245,6 +256,8 @@ def _unknowns(r: Readings, axes: list[str], read: list[str], apart: list[str], w
             read + [f"{t} in V" for t in apart],
         ),
         turn_error=Unknown("turn_error", 0.0, "arcsec"),
+        # which way Z points is known by assumption only: held, for the report to say it
+        up=Unknown("up", float(up)),
     )
 
 
@@ -264,8 +277,8 @@ def _priors(r: Readings, unknowns: _Unknowns) -> list[Observations]:
     ]
 
 
-def _results(unknowns: _Unknowns, axes: list[str], up: Shared) -> list[Quantity]:
-    plumb, offset, point, slope = unknowns.plumb, unknowns.offset, unknowns.point, unknowns.slope
+def _results(unknowns: _Unknowns, axes: list[str]) -> list[Quantity]:
+    plumb, offset, point, slope, up = unknowns.plumb, unknowns.offset, unknowns.point, unknowns.slope, unknowns.up
     yaw = np.array([YAW_OF[a] for a in axes])
     pitches = [i for i, a in enumerate(axes) if a != "roll"]
     pitch, roll = axes.index("pitch"), axes.index("roll")

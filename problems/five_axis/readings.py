@@ -5,13 +5,13 @@ index.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from calib.errors import InputError
 from calib.table import Table, shipped
-from calib.units import arcsec, degree, mm
+from calib.units import arcsec, degree
 
 FOLDER = "five_axis"
 FILES = {
@@ -67,6 +67,7 @@ class Readings:
     index: tuple[float, float]
     u_level: float
     u_circle: float
+    feet: Mapping[str, tuple[int, float, float]] = field(default_factory=dict)
 
 
 def published(*, as_printed: bool = False) -> Readings:
@@ -76,7 +77,7 @@ def published(*, as_printed: bool = False) -> Readings:
     """
     return from_tables(
         {name: shipped(f"{FOLDER}/{file}") for name, file in FILES.items()},
-        roll_column="horizontal_printed_dms" if as_printed else "horizontal_dms",
+        roll_column="horizontal_printed" if as_printed else "horizontal",
     )
 
 
@@ -86,12 +87,12 @@ def from_tables(
     index: tuple[float, float] = (90 * degree + 16 * arcsec, 1 * arcsec),
     u_level: float = 0.2 * arcsec,
     u_circle: float = 1 * arcsec,
-    roll_column: str = "horizontal_dms",
+    roll_column: str = "horizontal",
 ) -> Readings:
     """Readings from tables in the columns of the shipped ones.
 
     tables: level, wires, pitch, roll, distances and, where targets have fitted centres only, centres; index, u_level,
-    u_circle: in rad, as the paper states them; roll_column: header of the horizontal circle on the roll axis.
+    u_circle: in rad, as the paper states them; roll_column: the horizontal circle on the roll axis.
     Raises InputError for a missing table, an unknown target or instrument, or a missing distance.
     """
     for name, file in FILES.items():
@@ -102,8 +103,7 @@ def from_tables(
     level = tables["level"]
     pitch, roll = _circle(tables["pitch"], "horizontal"), _circle(tables["roll"], roll_column)
     wires = _circle(tables["wires"], "horizontal", horizontal_only=True)
-    _check(tables["wires"], wires.target, WIRES)
-    _check(tables["wires"], wires.instrument, INSTRUMENTS, "instrument")
+    _check(tables["wires"], np.array([f"{i} {w}" for i, w in zip(wires.instrument, wires.target)]), SIGHTS, "target")
     _check(tables["pitch"], pitch.target, NEAR_AND_FAR["pitch"])
     _check(tables["roll"], roll.target, NEAR_AND_FAR["roll"])
     lengths = tables["distances"]
@@ -125,6 +125,13 @@ def from_tables(
             given.number("u", "angle"),
         ):
             centre[str(target)] = (float(h), float(v), float(u))
+    feet = {}
+    if "feet" in tables:
+        given = tables["feet"]
+        _check(given, given.text("table"), TABLES, "table")
+        places = zip(given.text("table"), given.text("foot"), given.number("x", "length"), given.number("y", "length"))
+        for table, foot, x, y in places:
+            feet[f"{foot} of the {table.replace('_', '-')} table"] = (TABLES.index(table), float(x), float(y))
     for target in (*INSTRUMENTS, *NEAR_AND_FAR["pitch"], *NEAR_AND_FAR["roll"], *centre):
         if target not in distance:
             raise InputError(
@@ -143,6 +150,7 @@ def from_tables(
         index,
         u_level,
         u_circle,
+        feet,
     )
 
 
@@ -163,6 +171,3 @@ def _check(table: Table, found: np.ndarray, known: tuple[str, ...], column: str 
     for name in known:
         if name not in found:
             raise InputError(f"{table.path}: no row of {column} '{name}'; the procedure needs {' and '.join(known)}")
-
-
-MILLIMETRES = 2 * mm

@@ -123,6 +123,7 @@ TO_THE_PLUMB_LINE: dict[str, Place] = {
     "it6": {"square to the plumb line[two_axis_pitch]": 1.0},
 }
 ITEMS = ("it1", "it2", "it3", "it4", "it5", "it6", "it7", "it8a", "it8b", "it9a", "it9b", "it10")
+USUAL = "circles of the usual make: Z down"
 UNIT = {"arcsec": arcsec, "mm": mm}
 
 
@@ -176,6 +177,12 @@ class Fits:
     alternatives: Mapping[str, Fit]
 
 
+def accepted(readings: Readings) -> list[str]:
+    """Targets whose horizontal and vertical circle may share r and phase, tested at 1 %."""
+    step = Fit.of(step_by_step.declare(readings))
+    return [one.target for one in sharing(step.linear, step.scatter) if one.accepted]
+
+
 def fits(readings: Readings, *, alternatives: bool = True) -> Fits:
     """Fit the readings step by step, test what may be shared, and fit them jointly.
 
@@ -191,7 +198,7 @@ def fits(readings: Readings, *, alternatives: bool = True) -> Fits:
     }
     turns = min(senses, key=lambda sense: sum(one.statistic for one in senses[sense]))
     wires = [one.target for one in senses[turns] if one.accepted]
-    others = {"nothing shared": Sharing(()), "circles of the usual make: Z down": Sharing(accepted, up=-1)}
+    others = {"nothing shared": Sharing(()), USUAL: Sharing(accepted, up=-1)}
     if wires:
         others[f"shared also between T1 and T2: {', '.join(wires)}"] = Sharing(accepted, wires, turns)
     named = {name: Fit.of(joint.declare(readings, one)) for name, one in others.items()} if alternatives else {}

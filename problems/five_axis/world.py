@@ -22,9 +22,7 @@ AS_READ = (1, -1)
 
 
 def yaw_direction(tilt: Any, up: Any) -> Any:
-    """Direction (3,) of a yaw axis, near Z, from its plumb error about the paper's X and Y (right-handed, Z up)
-    [rad].
-    """
+    """Direction (3,) of a yaw axis, near Z, from its plumb error (2,) about X and Y, right-handed with Z up [rad]."""
     return vertcat(up * tilt[1], -tilt[0], 1.0)
 
 
@@ -40,11 +38,13 @@ def _sight(
     )
 
 
-def level_reading(tilt: Any, azimuth: Any, angle: Any, zero: Any, **slots: Any) -> Any:
+@hands_slots_to(level.on_turning_axis)
+def level_reading(axis_tilt: Any, azimuth: Any, angle: Any, zero: Any, **slots: Any) -> Any:
     """Level on a yaw axis at one position, its seat turned by an azimuth against X (eq 1) [rad]."""
-    return level.on_turning_axis(tilt, angle + azimuth, zero, **slots)
+    return level.on_turning_axis(axis_tilt, angle + azimuth, zero, **slots)
 
 
+@hands_slots_to(theodolite.circles)
 def on_target(
     point: Any,
     slope: Any,
@@ -57,29 +57,28 @@ def on_target(
     index: Any,
     standing: Any,
     *,
+    offset: Any = direct,
     standing_axis: Any = direct,
     **slots: Any,
 ) -> tuple[Any, Any]:
     """Circles of T1 on a target that runs round a nearly horizontal axis.
 
-    point, slope: (2,) y, z of the axis where it passes the yaw axis [m] and its slopes; crossing, distance: of the
-    yaw axis and the target
-    from T1 [m]; circle_h, circle_v: (2,) eccentricity as each circle sees it [m]; angle: of the axis; zero, index:
-    readings of the circles along X; standing: (2,) lean of the standing axis [rad]. Returns H, V [rad].
+    point, slope: (2,) y, z of the axis where it passes the yaw axis [m] and its slopes; crossing, distance: of the yaw
+    axis and of the target from T1 [m]; circle_h, circle_v: (2,) eccentricity as each circle sees it [m]; angle: of the
+    axis; zero, index: readings of the circles along X; standing: (2,) lean of the standing axis [rad]. Slots: `offset`
+    ((2,) y, z of the target from the axis [m], may ask for angle) and those of the theodolite. Returns H, V [rad].
     """
+    departure = offset(vertcat(across(circle_h, angle), upward(circle_v, angle)), angle=angle)
     reach = distance - crossing
-    line = vertcat(
-        distance,
-        point[0] + slope[0] * reach + across(circle_h, angle),
-        point[1] + slope[1] * reach + upward(circle_v, angle),
-    )
+    line = vertcat(distance, *(point[i] + slope[i] * reach + departure[i] for i in range(2)))
     return _sight(line, zero, index, standing, standing_axis, slots)
 
 
+@hands_slots_to(theodolite.circles)
 def on_wire(
     looks: Any,
     offset: Any,
-    tilt: Any,
+    axis_tilt: Any,
     height: Any,
     circle: Any,
     angle: Any,
@@ -95,10 +94,10 @@ def on_wire(
     """Horizontal circle of a theodolite on a filament that runs round a yaw axis.
 
     looks: (2,) direction toward the three-axis yaw axis; offset: (2,) of this yaw axis from that one, at Z = 0 [m];
-    tilt: (2,) its plumb error; height: of the pointed place [m]; circle: (2,) eccentricity [m]; distance: to the
-    three-axis yaw axis [m]; turns: +1 from X to Y.
+    axis_tilt: (2,) its plumb error; height: of the pointed place [m]; circle: (2,) eccentricity [m]; distance: to the
+    three-axis yaw axis [m]; turns: +1 from X to Y. Returns H [rad].
     """
-    lean = yaw_direction(tilt, up)
+    lean = yaw_direction(axis_tilt, up)
     left = vertcat(-looks[1], looks[0])
     wire = vertcat(
         offset[0] + height * lean[0] - turns * upward(circle, angle),
@@ -108,12 +107,7 @@ def on_wire(
     return _sight(line, zero, 0.0, standing, standing_axis, slots)[0]
 
 
-level_reading = hands_slots_to(level.on_turning_axis)(level_reading)
-on_target, on_wire = hands_slots_to(theodolite.circles)(on_target), hands_slots_to(theodolite.circles)(on_wire)
-
-
-# --- the twelve results, as geometry of lines; coordinates from the point where X meets the three-axis yaw axis
-# -------------------
+# --- the twelve results as geometry of lines; coordinates from the point where X meets the three-axis yaw axis --------
 
 
 def _line(point: Any, slope: Any) -> tuple[Any, Any]:
@@ -166,3 +160,11 @@ def pitch_over_pitch(first: Any, first_slope: Any, second: Any, second_slope: An
 def axis_point(point: Any, slope: Any, crossing: Any, distance: Any) -> Any:
     """Point y, z of a horizontal axis at a distance from T1 [m]."""
     return point + slope * (distance - crossing)
+
+
+def raise_of_foot(tilt: Any, place: Any) -> Any:
+    """How much to raise a foot so that the yaw axis becomes plumb [m].
+
+    tilt: (2,) plumb error of the axis; place: (2,) x, y of the foot from the axis in the level's frame [m].
+    """
+    return tilt[1] * place[0] - tilt[0] * place[1]
