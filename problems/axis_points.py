@@ -45,16 +45,12 @@ RUNOUT = "ISO 230-7:2015, radial error motion of an axis of rotation"
 
 
 def across(eccentricity: Any, angle: Any) -> Any:
-    """Sideways departure a cos(angle) - b sin(angle) of a target on its circle, in the unit of the eccentricity (a,
-    b).
-    """
+    """Sideways departure a cos(angle) - b sin(angle) of a target, in the unit of its eccentricity (a, b)."""
     return eccentricity[0] * cos(angle) - eccentricity[1] * sin(angle)
 
 
 def upward(eccentricity: Any, angle: Any) -> Any:
-    """Upward departure a sin(angle) + b cos(angle) of a target on its circle, in the unit of the eccentricity (a,
-    b).
-    """
+    """Upward departure a sin(angle) + b cos(angle) of a target, in the unit of its eccentricity (a, b)."""
     return eccentricity[0] * sin(angle) + eccentricity[1] * cos(angle)
 
 
@@ -69,16 +65,8 @@ def one_circle(centre: Any, eccentricity: Any, angle: Any) -> Any:
 
 @hands_slots_to(theodolite.face_readings)
 def both_circles(
-    centre: Any,
-    eccentricity_h: Any,
-    eccentricity_v: Any,
-    distance: Any,
-    elevation: Any,
-    angle: Any,
-    face: Any,
-    *,
-    offset: Any = direct,
-    **slots: Any,
+    centre: Any, eccentricity_h: Any, eccentricity_v: Any, distance: Any, elevation: Any, angle: Any, face: Any, *,
+    offset: Any = direct, **slots: Any
 ) -> Any:
     """Readings of both circles on a target of a turning axis (eq 4, 5), for any elevation and either face.
 
@@ -90,12 +78,8 @@ def both_circles(
     """
     departure = offset(vertcat(across(eccentricity_h, angle), upward(eccentricity_v, angle)), angle=angle)
     return theodolite.face_readings(
-        centre[0] + departure[0] / (distance * cos(elevation)),
-        centre[1] + departure[1] / distance,
-        elevation,
-        face,
-        **slots,
-    )
+        centre[0] + departure[0] / (distance * cos(elevation)), centre[1] + departure[1] / distance, elevation, face,
+        **slots)
 
 
 def face_one(readings: ArrayLike, face: ArrayLike) -> np.ndarray:
@@ -119,19 +103,11 @@ def start(readings: ArrayLike, face: ArrayLike, index: np.ndarray, count: int) -
 
 
 def declare(
-    readings: ArrayLike | None,
-    target: Sequence[object],
-    angle: ArrayLike,
-    *,
-    distance: Mapping[str, float],
-    u: Sequence[float] = (1 * arcsec, 1 * arcsec),
-    elevation: Mapping[str, float] | None = None,
-    face: ArrayLike | None = None,
-    shared: Collection[str] | None = None,
-    u_distance: float = 0.0,
-    covariates: Mapping[str, Any] | None = None,
-    rows: ArrayLike | None = None,
-    candidates: Sequence[Effect] = (),
+    readings: ArrayLike | None, target: Sequence[object], angle: ArrayLike, *, distance: Mapping[str, float],
+    u: Sequence[float] = (1 * arcsec, 1 * arcsec), elevation: Mapping[str, float] | None = None,
+    face: ArrayLike | None = None, shared: Collection[str] | None = None, u_distance: float = 0.0,
+    covariates: Mapping[str, Any] | None = None, rows: ArrayLike | None = None,
+    candidates: Sequence[Effect] = ()
 ) -> Problem:
     """The problem of the axis points seen from one theodolite.
 
@@ -155,59 +131,32 @@ def declare(
     first = np.tile([np.pi, np.pi / 2], (len(ids), 1)) if readings is None else start(readings, faces, index, len(ids))
     centre = Unknown("centre", first, "deg", parts=("H", "V"), keys=ids)
     eccentricity = Unknown(
-        "eccentricity",
-        np.zeros((len(ids) + len(apart), 2)),
-        "mm",
-        parts=("a", "b"),
-        keys=ids + [f"{t} in V" for t in apart],
-    )
+        "eccentricity", np.zeros((len(ids) + len(apart), 2)), "mm", parts=("a", "b"),
+        keys=ids + [f"{t} in V" for t in apart])
     in_v = np.array([len(ids) + apart.index(t) if t in apart else i for i, t in enumerate(ids)])
     known = np.array([distance[t] for t in ids])
     length = Unknown("distance", known[:, None], "mm", keys=ids)
     observations = [
         Observations(
-            both_circles,
-            centre[index],
-            eccentricity[index],
-            eccentricity[in_v[index]],
+            both_circles, centre[index], eccentricity[index], eccentricity[in_v[index]],
             length[index] if u_distance else known[index],
-            np.array([(elevation or {}).get(t, 0.0) for t in ids])[index],
-            np.asarray(angle, float),
-            faces,
-            readings=readings,
-            u=u,
-            group="circles",
-            unit="arcsec",
-            components=("H", "V"),
-            period=theodolite.PERIOD,
-            covariates={**(covariates or {}), "target": np.array(target, dtype=str)},
-            rows=rows,
-        )
+            np.array([(elevation or {}).get(t, 0.0) for t in ids])[index], np.asarray(angle, float), faces,
+            readings=readings, u=u, group="circles", unit="arcsec", components=("H", "V"), period=theodolite.PERIOD,
+            covariates={**(covariates or {}), "target": np.array(target, dtype=str)}, rows=rows)
     ]
     if u_distance:
         observations.append(prior(length, known[:, None], u_distance, name="distances"))
     quantities = [
         Quantity(
-            "circle",
-            radius_and_phase,
-            eccentricity.each,
-            unit=("mm", "deg"),
-            parts=("r", "phase"),
-            keys=eccentricity.keys,
-        )
+            "circle", radius_and_phase, eccentricity.each, unit=("mm", "deg"), parts=("r", "phase"),
+            keys=eccentricity.keys)
     ]
     if apart:
         rows_apart = np.array([ids.index(t) for t in apart])
         quantities.append(
             Quantity(
-                "circle difference",
-                difference,
-                eccentricity[rows_apart],
-                eccentricity[in_v[rows_apart]],
-                unit="mm",
-                parts=("a", "b"),
-                keys=apart,
-            )
+                "circle difference", difference, eccentricity[rows_apart], eccentricity[in_v[rows_apart]], unit="mm",
+                parts=("a", "b"), keys=apart)
         )
     return Problem(observations, quantities=quantities, effects=candidates, name="axis points")
 
@@ -223,9 +172,7 @@ def difference(seen_by_horizontal: Any, seen_by_vertical: Any) -> Any:
 
 
 class Agreement(NamedTuple):
-    """Whether two circles see one eccentricity: T, its p-value by the stated u and by the scatter found, the
-    verdict.
-    """
+    """Whether two circles see one eccentricity: T, its p-value by the stated u and by the scatter found, verdict."""
 
     target: str
     statistic: float
@@ -309,18 +256,12 @@ def from_job(job: Job) -> Problem:
             InputError(f"{data.place(int(row), data.column('face'))}: face {face[row]} is neither 1 nor 2; correct it")
         face = np.where(face == 1, 1.0, -1.0)
     problem = declare(
-        np.stack([data.number("H", "angle"), data.number("V", "angle")], axis=1),
-        data.text("target"),
-        data.number("angle", "angle"),
-        distance={key: one.quantity("L", "length") for key, one in targets.items()},
+        np.stack([data.number("H", "angle"), data.number("V", "angle")], axis=1), data.text("target"),
+        data.number("angle", "angle"), distance={key: one.quantity("L", "length") for key, one in targets.items()},
         elevation={key: one.quantity("elevation", "angle", 0.0) for key, one in targets.items()},
-        u=[instrument.quantity(f"{stated}_{circle}", "angle") for circle in "HV"],
-        face=face,
-        shared=job.options.texts("shared", None),
-        u_distance=job.options.quantity("u_distance", "length", 0.0),
-        covariates=covariates,
-        rows=data.row_numbers,
-    )
+        u=[instrument.quantity(f"{stated}_{circle}", "angle") for circle in "HV"], face=face,
+        shared=job.options.texts("shared", None), u_distance=job.options.quantity("u_distance", "length", 0.0),
+        covariates=covariates, rows=data.row_numbers)
     blocks = sorted(set(covariates.get("block", [])))[1:]
     return problem.with_effects(*_usable(effects(blocks), problem))
 

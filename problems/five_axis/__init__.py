@@ -14,16 +14,5 @@ from .jobs import accepts, columns, declare, effects, example, example_job, from
 
 source = "Ren, Gao, Zhao (2015), J. Harbin Inst. Tech. 47(10), 1-6"
 __all__ = [
-    "accepts",
-    "advice",
-    "columns",
-    "declare",
-    "effects",
-    "example",
-    "example_job",
-    "from_job",
-    "options",
-    "published",
-    "reproduce",
-    "source",
-]
+    "accepts", "advice", "columns", "declare", "effects", "example", "example_job", "from_job", "options",
+    "published", "reproduce", "source"]

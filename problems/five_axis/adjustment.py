@@ -30,12 +30,8 @@ def advice(fit: Linearisation) -> tuple[str, ...]:
     up = next(round(float(fit.values[unknown][0, 0])) for unknown in fit.layout.unknowns if unknown.name == "up")
     levels = [sentence for table in _TABLES for sentence in _level(found, table)]
     return (
-        *levels,
-        *_feet(found),
-        *_move(found, up),
-        *_axes(found, up),
-        f"{_MAKE[up]}; with other circles turn them about.",
-    )
+        *levels, *_feet(found), *_move(found, up), *_axes(found, up),
+        f"{_MAKE[up]}; with other circles turn them about.")
 
 
 def _level(found: Covariance, table: str) -> tuple[str, str]:

@@ -72,21 +72,9 @@ def _fitted(
         more["joint_alternatives"] = _alternatives(key, printed.unit, found)
     why = [reasons.WHY.get(key, ""), reasons.lies(key, value)]
     return Item(
-        key,
-        printed.quantity,
-        printed.unit,
-        printed,
-        value=value,
-        rounded=rounded.get(key),
-        u=u,
-        u_vc=u_vc,
-        joint=joint[0],
-        joint_u=joint[1],
-        joint_u_vc=joint[2],
-        why=". ".join(w for w in why if w),
-        printed_u=_printed_u(key, numbers, printed.unit),
-        **more,
-    )
+        key, printed.quantity, printed.unit, printed, value=value, rounded=rounded.get(key), u=u, u_vc=u_vc,
+        joint=joint[0], joint_u=joint[1], joint_u_vc=joint[2], why=". ".join(w for w in why if w),
+        printed_u=_printed_u(key, numbers, printed.unit), **more)
 
 
 def _printed_u(key: str, numbers: Mapping[str, float], unit: str) -> float | None:
@@ -115,13 +103,8 @@ def _stated(step: Fit) -> dict[str, dict[str, Any]]:
         "s8": {"value": float(np.hypot(*plumb))},
     }
     for key, name in (
-        ("T1_S3_sig", "T1 S3"),
-        ("T1_S2_sig", "T1 S2"),
-        ("T2_S3_sig", "T2 S3"),
-        ("T2_S2_sig", "T2 S2"),
-        ("AB_sig", "A H"),
-        ("CD_sig", "C H"),
-    ):
+        ("T1_S3_sig", "T1 S3"), ("T1_S2_sig", "T1 S2"), ("T2_S3_sig", "T2 S3"), ("T2_S2_sig", "T2 S2"),
+        ("AB_sig", "A H"), ("CD_sig", "C H")):
         found[key] = {"value": step.stated[f"reading[{name}]"][1] / arcsec}
     return found
 
@@ -188,12 +171,8 @@ def _tracker() -> dict[str, dict[str, Any]]:
 
 
 def _special(
-    key: str,
-    printed: Printed,
-    given: Mapping[str, Any],
-    rounded: Mapping[str, float],
-    step: Fit,
-    all_printed: Mapping[str, Printed],
+    key: str, printed: Printed, given: Mapping[str, Any], rounded: Mapping[str, float], step: Fit,
+    all_printed: Mapping[str, Printed]
 ) -> Item:
     more = dict(given)
     if key in _SIGMA_OF:

@@ -34,12 +34,8 @@ def residuals(step: Fit) -> Any:
         found = step.estimate.residuals[observations.group] / arcsec
         for component in range(found.shape[1]):
             place.plot(
-                ((angle + 180) % 360) - 180,
-                found[:, component],
-                "o",
-                markersize=3,
-                label=("horizontal circle", "vertical circle")[component] if found.shape[1] > 1 else None,
-            )
+                ((angle + 180) % 360) - 180, found[:, component], "o", markersize=3,
+                label=("horizontal circle", "vertical circle")[component] if found.shape[1] > 1 else None)
         place.axhline(0.0, color="0.6", linewidth=0.8)
         place.set(title=observations.group, xlabel="position / deg", ylabel="residual / arcsec")
         if found.shape[1] > 1:
@@ -59,13 +55,8 @@ def twelve(found: Fits, printed: Mapping[str, float]) -> Any:
     x = np.arange(len(ITEMS))
     axis.errorbar(x - 0.15, np.zeros(len(x)), [1.0] * len(x), fmt="s", markersize=4, label="step by step")
     axis.errorbar(
-        x + 0.15,
-        [(j[0] - s[0]) / s[2] for j, s in zip(joint, step)],
-        [j[2] / s[2] for j, s in zip(joint, step)],
-        fmt="o",
-        markersize=4,
-        label="jointly",
-    )
+        x + 0.15, [(j[0] - s[0]) / s[2] for j, s in zip(joint, step)], [j[2] / s[2] for j, s in zip(joint, step)],
+        fmt="o", markersize=4, label="jointly")
     axis.plot(x, [(printed[key] - s[0]) / s[2] for key, s in zip(ITEMS, step)], "kx", label="printed")
     axis.set_xticks(x, ITEMS)
     axis.set_ylabel("departure / u of the step-by-step result")

@@ -75,72 +75,30 @@ def declare(readings: Readings, sharing: Sharing) -> Problem:
     to_yaw = np.array([lengths.index(i) for i in INSTRUMENTS])
     table = np.repeat([0, 1], len(r.level_angle))
     levels = Observations(
-        world.level_reading,
-        unknowns.plumb[table],
-        unknowns.azimuth,
-        np.tile(r.level_angle, 2),
-        unknowns.level_zero[table],
-        readings=r.level.T.ravel(),
-        u=r.u_level,
-        group="table 1",
-        unit="arcsec",
-        covariates={"table": np.array(TABLES)[table]},
-        rows=np.tile(r.level_rows, 2),
-    )
+        world.level_reading, unknowns.plumb[table], unknowns.azimuth, np.tile(r.level_angle, 2),
+        unknowns.level_zero[table], readings=r.level.T.ravel(), u=r.u_level, group="table 1", unit="arcsec",
+        covariates={"table": np.array(TABLES)[table]}, rows=np.tile(r.level_rows, 2))
 
     wires = Observations(
-        world.on_wire,
-        np.array([LOOKS[i] for i in r.wires.instrument]),
-        unknowns.offset[wire],
-        unknowns.plumb[wire],
-        unknowns.height[wire],
-        unknowns.wire_circle[one_circle],
-        r.wires.angle,
-        unknowns.distance[to_yaw[instrument]],
-        zero[instrument],
-        standing[instrument],
-        up,
-        Shared(float(sharing.turns)),
-        readings=r.wires.reading,
-        u=r.u_circle,
-        group="table 2",
-        unit="arcsec",
-        components=("H",),
-        period=theodolite.PERIOD,
-        covariates={"target": r.wires.target},
-        rows=r.wires.rows,
-    )
+        world.on_wire, np.array([LOOKS[i] for i in r.wires.instrument]), unknowns.offset[wire], unknowns.plumb[wire],
+        unknowns.height[wire], unknowns.wire_circle[one_circle], r.wires.angle, unknowns.distance[to_yaw[instrument]],
+        zero[instrument], standing[instrument], up, Shared(float(sharing.turns)), readings=r.wires.reading,
+        u=r.u_circle, group="table 2", unit="arcsec", components=("H",), period=theodolite.PERIOD,
+        covariates={"target": r.wires.target}, rows=r.wires.rows)
 
     def sight(names: np.ndarray) -> tuple[Any, ...]:
         axis = np.array([next(axes.index(a) for a in axes if t in NEAR_AND_FAR[a]) for t in names])
         return (
-            unknowns.point[axis],
-            unknowns.slope[axis],
-            unknowns.distance[lengths.index("T1")],
-            unknowns.distance[np.array([lengths.index(t) for t in names])],
-        )
+            unknowns.point[axis], unknowns.slope[axis], unknowns.distance[lengths.index("T1")],
+            unknowns.distance[np.array([lengths.index(t) for t in names])])
 
     def circles(group: str, of: Circle) -> Observations:
         h = np.array([read.index(t) for t in of.target])
         v = np.array([len(read) + apart.index(t) if t in apart else read.index(t) for t in of.target])
         return Observations(
-            world.on_target,
-            *sight(of.target),
-            unknowns.circle[h],
-            unknowns.circle[v],
-            of.angle,
-            zero[0],
-            index,
-            standing[0],
-            readings=of.reading,
-            u=r.u_circle,
-            group=group,
-            unit="arcsec",
-            components=("H", "V"),
-            period=theodolite.PERIOD,
-            covariates={"target": of.target},
-            rows=of.rows,
-        )
+            world.on_target, *sight(of.target), unknowns.circle[h], unknowns.circle[v], of.angle, zero[0], index,
+            standing[0], readings=of.reading, u=r.u_circle, group=group, unit="arcsec", components=("H", "V"),
+            period=theodolite.PERIOD, covariates={"target": of.target}, rows=of.rows)
 
     observations = [levels, wires, circles("table 3", r.pitch), circles("table 4", r.roll)]
     still, angle = Shared(np.zeros(2)), Shared(0.0)
@@ -148,57 +106,22 @@ def declare(readings: Readings, sharing: Sharing) -> Problem:
         values = np.array([c[:2] for c in r.centre.values()])
         observations.append(
             Observations(
-                world.on_target,
-                *sight(np.array(list(r.centre))),
-                still,
-                still,
-                angle,
-                zero[0],
-                index,
-                standing[0],
-                readings=values,
-                u=np.array([[c[2]] * 2 for c in r.centre.values()]),
-                group="printed centres",
-                unit="arcsec",
-                components=("H", "V"),
-                period=theodolite.PERIOD,
-            )
+                world.on_target, *sight(np.array(list(r.centre))), still, still, angle, zero[0], index, standing[0],
+                readings=values, u=np.array([[c[2]] * 2 for c in r.centre.values()]), group="printed centres",
+                unit="arcsec", components=("H", "V"), period=theodolite.PERIOD)
         )
     observations += _priors(r, unknowns)
     each = np.arange(len(SIGHTS))
     at_instrument, at_wire = each // len(WIRES), each % len(WIRES)
     quantities = _results(unknowns, axes) + [
         Quantity(
-            "wire reading",
-            world.on_wire,
-            np.repeat([LOOKS[i] for i in INSTRUMENTS], len(WIRES), axis=0),
-            unknowns.offset[at_wire],
-            unknowns.plumb[at_wire],
-            unknowns.height[at_wire],
-            still,
-            angle,
-            unknowns.distance[to_yaw[at_instrument]],
-            zero[at_instrument],
-            standing[at_instrument],
-            up,
-            Shared(1.0),
-            unit="arcsec",
-            keys=SIGHTS,
-        ),
+            "wire reading", world.on_wire, np.repeat([LOOKS[i] for i in INSTRUMENTS], len(WIRES), axis=0),
+            unknowns.offset[at_wire], unknowns.plumb[at_wire], unknowns.height[at_wire], still, angle,
+            unknowns.distance[to_yaw[at_instrument]], zero[at_instrument], standing[at_instrument], up, Shared(1.0),
+            unit="arcsec", keys=SIGHTS),
         Quantity(
-            "reading",
-            world.on_target,
-            *sight(np.array(targets)),
-            still,
-            still,
-            angle,
-            zero[0],
-            index,
-            standing[0],
-            unit="arcsec",
-            parts=("H", "V"),
-            keys=targets,
-        ),
+            "reading", world.on_target, *sight(np.array(targets)), still, still, angle, zero[0], index, standing[0],
+            unit="arcsec", parts=("H", "V"), keys=targets),
         Quantity("point", world.axis_point, *sight(np.array(targets)), unit="mm", parts=("y", "z"), keys=targets),
     ]
     if r.feet:
@@ -249,12 +172,8 @@ def _unknowns(
         point=Unknown("axis_point", np.zeros((len(axes), 2)), "mm", ("y", "z"), axes),
         slope=Unknown("axis_slope", np.zeros((len(axes), 2)), "urad", ("y", "z"), axes),
         circle=Unknown(
-            "target_circle",
-            np.zeros((len(read) + len(apart), 2)),
-            "mm",
-            ("a", "b"),
-            read + [f"{t} in V" for t in apart],
-        ),
+            "target_circle", np.zeros((len(read) + len(apart), 2)), "mm", ("a", "b"),
+            read + [f"{t} in V" for t in apart]),
         turn_error=Unknown("turn_error", 0.0, "arcsec"),
         # which way Z points is known by assumption only: held, for the report to say it
         up=Unknown("up", float(up)),
@@ -264,11 +183,8 @@ def _unknowns(
 def _priors(r: Readings, unknowns: _Unknowns) -> list[Observations]:
     return [
         prior(
-            unknowns.distance,
-            [[value] for value, _ in r.distance.values()],
-            [[u] for _, u in r.distance.values()],
-            "distances",
-        ),
+            unknowns.distance, [[value] for value, _ in r.distance.values()], [[u] for _, u in r.distance.values()],
+            "distances"),
         prior(unknowns.index, r.index[0], r.index[1], "vertical index"),
         prior(unknowns.standing, 0.0, U_STANDING_AXIS, "standing axes"),
         prior(unknowns.turn_error, 0.0, U_TURN, "yaw turn"),
@@ -286,35 +202,15 @@ def _results(unknowns: _Unknowns, axes: list[str]) -> list[Quantity]:
     results = [
         Quantity("plumb difference", parallelism, plumb[0], plumb[1], unit="arcsec", parts=("x", "y", "parallelism")),
         Quantity(
-            "square",
-            world.square,
-            slope[np.array(pitches)],
-            plumb[yaw[pitches]],
-            up,
-            unit="arcsec",
-            keys=[axes[i] for i in pitches],
-        ),
+            "square", world.square, slope[np.array(pitches)], plumb[yaw[pitches]], up, unit="arcsec",
+            keys=[axes[i] for i in pitches]),
         Quantity(
-            "square to the plumb line",
-            world.square,
-            slope[np.array(pitches)],
-            Shared(np.zeros(2)),
-            up,
-            unit="arcsec",
-            keys=[axes[i] for i in pitches],
-        ),
+            "square to the plumb line", world.square, slope[np.array(pitches)], Shared(np.zeros(2)), up,
+            unit="arcsec", keys=[axes[i] for i in pitches]),
         Quantity("square in plan", world.square_in_plan, *pair, unit="arcsec"),
         Quantity(
-            "intersection",
-            world.intersection,
-            point.each,
-            slope.each,
-            offset[yaw],
-            plumb[yaw],
-            up,
-            unit="mm",
-            keys=axes,
-        ),
+            "intersection", world.intersection, point.each, slope.each, offset[yaw], plumb[yaw], up, unit="mm",
+            keys=axes),
         Quantity("roll over pitch", world.roll_over_pitch, *pair, unit="mm"),
         Quantity("yaw offset", lambda o: o, offset[1], unit="mm", parts=("x", "y")),
         Quantity("axis at the yaw axis", lambda at: at, point.each, unit="mm", parts=("y", "z"), keys=axes),
@@ -323,14 +219,7 @@ def _results(unknowns: _Unknowns, axes: list[str]) -> list[Quantity]:
         two = axes.index("two_axis_pitch")
         results.append(
             Quantity(
-                "pitch over pitch",
-                world.pitch_over_pitch,
-                point[pitch],
-                slope[pitch],
-                point[two],
-                slope[two],
-                offset[1],
-                unit="mm",
-            )
+                "pitch over pitch", world.pitch_over_pitch, point[pitch], slope[pitch], point[two], slope[two],
+                offset[1], unit="mm")
         )
     return results

@@ -58,11 +58,9 @@ def propagate(readings: Readings, angles: dict[str, tuple[float, float]], u_cent
     ]
     crossing = Unknown("crossing", readings.distance["T1"][0], "mm")
     given = [
-        prior(near, near.ambient, u_angle),
-        prior(far, far.ambient, u_angle),
+        prior(near, near.ambient, u_angle), prior(far, far.ambient, u_angle),
         *(prior(length, length.ambient, [[pair[i][1]] for pair in pairs]) for i, length in enumerate(lengths)),
-        prior(crossing, crossing.ambient[0], readings.distance["T1"][1]),
-    ]
+        prior(crossing, crossing.ambient[0], readings.distance["T1"][1])]
     first = Problem(
         given,
         name="eq (14), (15)",

@@ -82,12 +82,8 @@ def published(*, as_printed: bool = False) -> Readings:
 
 
 def from_tables(
-    tables: Mapping[str, Table],
-    *,
-    index: tuple[float, float] = (90 * degree + 16 * arcsec, 1 * arcsec),
-    u_level: float = 0.2 * arcsec,
-    u_circle: float = 1 * arcsec,
-    roll_column: str = "horizontal",
+    tables: Mapping[str, Table], *, index: tuple[float, float] = (90 * degree + 16 * arcsec, 1 * arcsec),
+    u_level: float = 0.2 * arcsec, u_circle: float = 1 * arcsec, roll_column: str = "horizontal"
 ) -> Readings:
     """Readings from tables in the columns of the shipped ones.
 
@@ -109,21 +105,15 @@ def from_tables(
     lengths = tables["distances"]
     distance = {}
     for instrument, target, value, u in zip(
-        lengths.text("instrument"),
-        lengths.text("target"),
-        lengths.number("distance", "length"),
-        lengths.number("u", "length"),
-    ):
+        lengths.text("instrument"), lengths.text("target"), lengths.number("distance", "length"),
+        lengths.number("u", "length")):
         distance[str(instrument) if target in WIRES else str(target)] = (float(value), float(u))
     centre = {}
     if "centres" in tables:
         given = tables["centres"]
         for target, h, v, u in zip(
-            given.text("target"),
-            given.number("horizontal", "angle"),
-            given.number("vertical", "angle"),
-            given.number("u", "angle"),
-        ):
+            given.text("target"), given.number("horizontal", "angle"), given.number("vertical", "angle"),
+            given.number("u", "angle")):
             centre[str(target)] = (float(h), float(v), float(u))
     feet = {}
     if "feet" in tables:
@@ -139,19 +129,8 @@ def from_tables(
             )
     levels = np.stack([level.number(f"{table}", "angle") for table in TABLES], axis=1)
     return Readings(
-        level.number("position", "angle"),
-        levels,
-        level.row_numbers,
-        wires,
-        pitch,
-        roll,
-        distance,
-        centre,
-        index,
-        u_level,
-        u_circle,
-        feet,
-    )
+        level.number("position", "angle"), levels, level.row_numbers, wires, pitch, roll, distance, centre, index,
+        u_level, u_circle, feet)
 
 
 def _circle(table: Table, horizontal: str, *, horizontal_only: bool = False) -> Circle:

@@ -108,24 +108,16 @@ _LIES = {
     "it1": ("the end of the pitch axis away from T1 lies {side}, by {size:.1f} arcsec", "higher", "lower"),
     "it2": (
         "the roll axis, yaw turned by 90 degrees, points {side} of the pitch axis by {size:.1f} arcsec, seen from T1",
-        "left",
-        "right",
-    ),
+        "left", "right"),
     "it3": ("the pitch axis passes the yaw axis {side} by {size:.3f} mm, seen from T1", "left", "right"),
     "it4": ("the roll axis lies {side} than the pitch axis by {size:.3f} mm", "higher", "lower"),
     "it5": ("the roll axis passes the yaw axis {side} by {size:.3f} mm, seen from T1", "left", "right"),
     "it6": ("the end of the two-axis pitch axis away from T1 lies {side}, by {size:.1f} arcsec", "higher", "lower"),
     "it7": ("the two-axis yaw axis stands {side} of its pitch axis by {size:.3f} mm, seen from T1", "left", "right"),
     "it9a": (
-        "the two-axis yaw axis stands {side} of the three-axis one by {size:.3f} mm, seen from T1",
-        "left",
-        "right",
-    ),
+        "the two-axis yaw axis stands {side} of the three-axis one by {size:.3f} mm, seen from T1", "left", "right"),
     "it9b": (
-        "the two-axis yaw axis stands {side} of the three-axis one by {size:.3f} mm, seen from T2",
-        "left",
-        "right",
-    ),
+        "the two-axis yaw axis stands {side} of the three-axis one by {size:.3f} mm, seen from T2", "left", "right"),
     "it10": ("the two-axis pitch axis lies {side} than the three-axis one by {size:.3f} mm", "higher", "lower"),
 }
 

@@ -48,57 +48,24 @@ def declare(readings: Readings) -> Problem:
 
     table = np.repeat([0, 1], len(r.level_angle))
     level = Observations(
-        on_turning_axis,
-        plumb[table],
-        np.tile(r.level_angle, 2),
-        zero[table],
-        readings=r.level.T.ravel(),
-        u=r.u_level,
-        group="table 1",
-        unit="arcsec",
-        rows=np.tile(r.level_rows, 2),
-    )
+        on_turning_axis, plumb[table], np.tile(r.level_angle, 2), zero[table], readings=r.level.T.ravel(),
+        u=r.u_level, group="table 1", unit="arcsec", rows=np.tile(r.level_rows, 2))
     sight = np.array([keys.index(f"{i} {w}") for i, w in zip(r.wires.instrument, r.wires.target)])
     wires = Observations(
-        one_circle,
-        centre[sight],
-        circle[sight],
-        r.wires.angle,
-        readings=r.wires.reading,
-        u=r.u_circle,
-        group="table 2",
-        unit="arcsec",
-        period=PERIOD,
-        covariates={"target": r.wires.target},
-        rows=r.wires.rows,
-    )
+        one_circle, centre[sight], circle[sight], r.wires.angle, readings=r.wires.reading, u=r.u_circle,
+        group="table 2", unit="arcsec", period=PERIOD, covariates={"target": r.wires.target}, rows=r.wires.rows)
 
     def targets(group: str, read: Circle) -> Observations:
         h, v = (np.array([keys.index(f"{t} {c}") for t in read.target]) for c in "HV")
         return Observations(
-            on_target,
-            centre[h],
-            centre[v],
-            circle[h],
-            circle[v],
-            read.angle,
-            readings=read.reading,
-            u=r.u_circle,
-            group=group,
-            unit="arcsec",
-            components=("H", "V"),
-            period=PERIOD,
-            covariates={"target": read.target},
-            rows=read.rows,
-        )
+            on_target, centre[h], centre[v], circle[h], circle[v], read.angle, readings=read.reading, u=r.u_circle,
+            group=group, unit="arcsec", components=("H", "V"), period=PERIOD, covariates={"target": read.target},
+            rows=read.rows)
 
     priors = [
         prior(
-            distance,
-            [[value] for value, _ in r.distance.values()],
-            [[u] for _, u in r.distance.values()],
-            name="distances",
-        ),
+            distance, [[value] for value, _ in r.distance.values()], [[u] for _, u in r.distance.values()],
+            name="distances"),
         prior(index, r.index[0], r.index[1], name="vertical index"),
     ]
     if r.centre:
@@ -108,9 +75,7 @@ def declare(readings: Readings) -> Problem:
         priors.append(prior(centre[own], values[:, None], u[:, None], name="printed centres"))
     return Problem(
         [level, wires, targets("table 3", r.pitch), targets("table 4", r.roll), *priors],
-        quantities=_results(r, plumb, centre, circle, distance, index),
-        name="five-axis, step by step",
-    )
+        quantities=_results(r, plumb, centre, circle, distance, index), name="five-axis, step by step")
 
 
 def _first_centres(r: Readings) -> np.ndarray:
@@ -156,20 +121,8 @@ def square(La: Any, Ha: Any, Va: Any, Lb: Any, Hb: Any, Vb: Any, yaw: Any, index
 
 
 def square_in_plan(
-    La: Any,
-    Ha: Any,
-    Va: Any,
-    Lb: Any,
-    Hb: Any,
-    Vb: Any,
-    Lc: Any,
-    Hc: Any,
-    Vc: Any,
-    Ld: Any,
-    Hd: Any,
-    Vd: Any,
-    yaw: Any,
-    index: Any,
+    La: Any, Ha: Any, Va: Any, Lb: Any, Hb: Any, Vb: Any, Lc: Any, Hc: Any, Vc: Any, Ld: Any, Hd: Any, Vd: Any,
+    yaw: Any, index: Any
 ) -> Any:
     """Perpendicularity of the pitch axis (A, B) and the roll axis (C, D), item 2 [rad]."""
     return formulas.out_of_square_in_plan(
@@ -178,21 +131,8 @@ def square_in_plan(
 
 
 def height_between(
-    La: Any,
-    Ha: Any,
-    Va: Any,
-    Lb: Any,
-    Hb: Any,
-    Vb: Any,
-    Lc: Any,
-    Hc: Any,
-    Vc: Any,
-    Ld: Any,
-    Hd: Any,
-    Vd: Any,
-    yaw: Any,
-    index: Any,
-    crossing: Any,
+    La: Any, Ha: Any, Va: Any, Lb: Any, Hb: Any, Vb: Any, Lc: Any, Hc: Any, Vc: Any, Ld: Any, Hd: Any, Vd: Any,
+    yaw: Any, index: Any, crossing: Any
 ) -> Any:
     """Height of the axis (C, D) over the axis (A, B) at the yaw axis, items 4 and 10 [m]."""
     over, under = _line(Lc, Hc, Vc, Ld, Hd, Vd, yaw, index), _line(La, Ha, Va, Lb, Hb, Vb, yaw, index)
@@ -245,69 +185,31 @@ def _results(
         Quantity("reading", lambda c: c, centre.each, unit="arcsec", keys=keys),
         Quantity("yaw angle", lambda a, b: b - a, centre[s3], centre[s2], unit="arcsec", keys=INSTRUMENTS),
         Quantity(
-            "yaw offset",
-            lambda L, a, b: formulas.off_the_sight(L, b, a),
-            distance[np.array([lengths.index(i) for i in INSTRUMENTS])],
-            centre[s3],
-            centre[s2],
-            unit="mm",
-            keys=INSTRUMENTS,
-        ),
+            "yaw offset", lambda L, a, b: formulas.off_the_sight(L, b, a),
+            distance[np.array([lengths.index(i) for i in INSTRUMENTS])], centre[s3], centre[s2], unit="mm",
+            keys=INSTRUMENTS),
         Quantity("point", point, *sight(*seen), yaw, index, unit="mm", parts=("y", "z"), keys=seen),
         Quantity(
-            "line",
-            line,
-            *sight(*near),
-            *sight(*far),
-            yaw,
-            index,
-            crossing,
-            unit="mm",
-            parts=("dx", "dy", "dz", "y", "z"),
-            keys=axes,
-        ),
+            "line", line, *sight(*near), *sight(*far), yaw, index, crossing, unit="mm",
+            parts=("dx", "dy", "dz", "y", "z"), keys=axes),
         Quantity("square", square, *sight(*near_pitch), *sight(*far_pitch), yaw, index, unit="arcsec", keys=pitches),
         Quantity("square in plan", square_in_plan, *pitch, *roll, yaw, index, unit="arcsec"),
         Quantity("roll over pitch", height_between, *pitch, *roll, yaw, index, crossing, unit="mm"),
         Quantity("circle difference", difference, circle[h], circle[v], unit="arcsec", parts=("a", "b"), keys=read),
         Quantity(
-            "wire difference",
-            turned_wire,
-            circle[first],
-            circle[second],
-            distance[lengths.index("T1")],
-            distance[lengths.index("T2")],
-            np.ones(2),
-            unit="mm",
-            parts=("a", "b"),
-            keys=WIRES,
-        ),
+            "wire difference", turned_wire, circle[first], circle[second], distance[lengths.index("T1")],
+            distance[lengths.index("T2")], np.ones(2), unit="mm", parts=("a", "b"), keys=WIRES),
         Quantity(
-            "wire difference, turned backwards",
-            turned_wire,
-            circle[first],
-            circle[second],
-            distance[lengths.index("T1")],
-            distance[lengths.index("T2")],
-            -np.ones(2),
-            unit="mm",
-            parts=("a", "b"),
-            keys=WIRES,
-        ),
+            "wire difference, turned backwards", turned_wire, circle[first], circle[second],
+            distance[lengths.index("T1")], distance[lengths.index("T2")], -np.ones(2), unit="mm", parts=("a", "b"),
+            keys=WIRES),
     ]
     if "two_axis_pitch" in axes:
         two = (*sight("E"), *sight("F"))
         results += [
             Quantity("pitch over pitch", height_between, *pitch, *two, yaw, index, crossing, unit="mm"),
             Quantity(
-                "two-axis intersection",
-                two_axis_intersection,
-                *two,
-                yaw,
-                index,
-                crossing,
-                centre[keys.index("T1 S2")],
-                unit="mm",
-            ),
+                "two-axis intersection", two_axis_intersection, *two, yaw, index, crossing,
+                centre[keys.index("T1 S2")], unit="mm"),
         ]
     return results

@@ -91,17 +91,8 @@ def declare(arc: Mapping[str, float], assumed: Assumed = Assumed()) -> Problem:
     foot = Unknown("foot", np.concatenate(sweep)[:, None], "deg")
     circle = np.repeat(np.arange(4), POINTS)
     points = Observations(
-        point_on_circle,
-        foot.each,
-        centre[circle],
-        normal[circle],
-        radius[circle],
-        level[circle],
-        u=U_PER_METRE * assumed.distance,
-        group="points",
-        unit="mm",
-        components=("x", "y", "z"),
-    )
+        point_on_circle, foot.each, centre[circle], normal[circle], radius[circle], level[circle],
+        u=U_PER_METRE * assumed.distance, group="points", unit="mm", components=("x", "y", "z"))
     centres = [centre[i] for i in range(4)]
     return Problem(
         [points],
@@ -132,14 +123,8 @@ def sweep(printed: Mapping[str, float]) -> list[dict[str, float | bool]]:
     four predicted ones, and whether all printed ones lie in the 95 % sampling interval of 15 trials.
     """
     places = (
-        (1.0, 1.0, 0.15),
-        (1.5, 1.0, 0.05),
-        (1.5, 1.0, 0.15),
-        (1.5, 1.0, 0.3),
-        (1.5, 2.0, 0.15),
-        (2.0, 1.0, 0.15),
-        (3.0, 2.0, 0.15),
-    )
+        (1.0, 1.0, 0.15), (1.5, 1.0, 0.05), (1.5, 1.0, 0.15), (1.5, 1.0, 0.3), (1.5, 2.0, 0.15), (2.0, 1.0, 0.15),
+        (3.0, 2.0, 0.15))
     lines: list[dict[str, float | bool]] = []
     for begin in (0.0, 45.0, 90.0, 135.0):
         for distance, spacing, radius in places:

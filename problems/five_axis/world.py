@@ -46,20 +46,8 @@ def level_reading(axis_tilt: Any, azimuth: Any, angle: Any, zero: Any, **slots: 
 
 @hands_slots_to(theodolite.circles)
 def on_target(
-    point: Any,
-    slope: Any,
-    crossing: Any,
-    distance: Any,
-    circle_h: Any,
-    circle_v: Any,
-    angle: Any,
-    zero: Any,
-    index: Any,
-    standing: Any,
-    *,
-    offset: Any = direct,
-    standing_axis: Any = direct,
-    **slots: Any,
+    point: Any, slope: Any, crossing: Any, distance: Any, circle_h: Any, circle_v: Any, angle: Any, zero: Any,
+    index: Any, standing: Any, *, offset: Any = direct, standing_axis: Any = direct, **slots: Any
 ) -> tuple[Any, Any]:
     """Circles of T1 on a target that runs round a nearly horizontal axis.
 
@@ -76,20 +64,8 @@ def on_target(
 
 @hands_slots_to(theodolite.circles)
 def on_wire(
-    looks: Any,
-    offset: Any,
-    axis_tilt: Any,
-    height: Any,
-    circle: Any,
-    angle: Any,
-    distance: Any,
-    zero: Any,
-    standing: Any,
-    up: Any,
-    turns: Any,
-    *,
-    standing_axis: Any = direct,
-    **slots: Any,
+    looks: Any, offset: Any, axis_tilt: Any, height: Any, circle: Any, angle: Any, distance: Any, zero: Any,
+    standing: Any, up: Any, turns: Any, *, standing_axis: Any = direct, **slots: Any
 ) -> Any:
     """Horizontal circle of a theodolite on a filament that runs round a yaw axis.
 
