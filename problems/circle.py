@@ -127,8 +127,9 @@ accepts = ("circle",)
 def from_job(job: Job) -> Problem:
     """A space circle from a job.
 
-    Table `points`: x, y, z (length), optionally command (angle), time, block. Its instrument: kind = "coordinates" with
-    one u for all coordinates, or kind = "laser_tracker" with sigma_range, sigma_azimuth, sigma_zenith, or u = "a + b L".
+    Table `points`: x, y, z (length), optionally command (angle), time, block. Its instrument: kind = "coordinates"
+    with one u for all coordinates, or kind = "laser_tracker" with sigma_range, sigma_azimuth, sigma_zenith, or with
+    u = "a + b L".
     """
     table = job.table("points")
     points = np.column_stack([table.number(name, "length") for name in ("x", "y", "z")])
