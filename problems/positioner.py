@@ -1,0 +1,229 @@
+"""Two-axis positioner: both axes in space, their angle and their offset, from measured poses of a target on the table.
+
+A tilting axis A carries a turning table C. An instrument that stands still (camera, tracker) measures the pose of a
+target on the table. Base frame: X along the axis A, at its zero Z along the table's axis; the instrument's place and
+the target's place are unknown, so that of the table's location only its offset from A (`EY0C`) and its tilt against A
+(`EB0C`) remain, which readings see whatever the mounting. Everything else that a mechanism may do (scales, encoders,
+error motions, deflection) are candidates: off, held or free by the option `free`.
+Source: ISO 230-1:2012 (location errors); data of ROS-Industrial, industrial_calibration, example kinematic_calibration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from casadi import vertcat
+from numpy.typing import ArrayLike
+
+from calib import Effect, Gaussian, Observations, Pose, Problem, Quantity, Shared, geometry, predict, simulate, solve
+from calib.job import Job
+from calib.mechanism import (
+    Frame,
+    Load,
+    Mechanism,
+    Rotary,
+    encoder_harmonic,
+    error_motion,
+    location_errors,
+    observe,
+    sag,
+    scale,
+)
+from calib.mechanism.inputs import checked_positions, other_quaternion_order
+from calib.mechanism.read import data_path, measured_poses
+from calib.mechanism.resolved import quantity
+from calib.mechanism.start import misfit, world_and_target
+from calib.units import degree, mm, mrad
+
+accepts = ("problems.positioner",)
+LOCATION = ("EY0C (C)", "EB0C (C)")      # what every measurement of poses sees of the second axis
+BLOCKS = 5
+options = {
+    "measurements": "YAML of poses and joint values, beside the job, under --data or $CALIB_REFERENCE_DATA",
+    "u_position, u_orientation": "standard uncertainty of a measured place and turn, each component",
+    "free": "names of further effects to estimate, such as [\"scale_A\", \"ECC\"]",
+}
+columns = {"poses": {"A, C": "positions of the axes", "x, y, z": "place of the target",
+                     "qw, qx, qy, qz": "its orientation"}}
+
+
+def positioner() -> Mechanism:
+    """The mechanism as designed: two axes that cross at a right angle; the table's weight rests off the axis A."""
+    return Mechanism("positioner", axes=[Rotary("A", direction=(1, 0, 0)),
+                                         Rotary("C", direction=(0, 0, 1), carried_by="A")],
+                     frames=[Frame("table", carried_by="C")], loads=[Load("table", (0, 0, 0.5), "A")])
+
+
+def effects(mechanism: Mechanism | None = None) -> tuple[Effect, ...]:
+    """Candidates: location of C, scale and encoder of both axes, error motions, deflection of A under the table's
+    weight."""
+    mechanism = mechanism or positioner()
+    drives = [effect for axis in mechanism.axes
+              for effect in (scale(axis), encoder_harmonic(axis, 1), encoder_harmonic(axis, 2))]
+    motions = [error_motion(axis, component, (2, 3)) for axis in mechanism.axes for component in "XYZABC"
+               if axis.name == "C" or component in "ABC"]
+    return (*(e for e in location_errors(mechanism, ["C"]) if e.label in LOCATION), *drives, *motions,
+            sag(mechanism, mechanism.axis("A")))
+
+
+def declare(positions: ArrayLike, places: ArrayLike, rotations: ArrayLike, u_position: float, u_orientation: float,
+            free: Sequence[str] = (), rows: ArrayLike | None = None, measured: bool = True) -> Problem:
+    """Declare the identification of the positioner.
+
+    positions: (n, 2) of A and C [rad]; places: (n, 3) [m] and rotations: (n, 3, 3) of the target as measured (or
+    roughly, with measured=False, to plan or simulate); u_position [m], u_orientation [rad]: standard uncertainty of
+    each component; free: effects to estimate beside the location of C; rows: numbers in the data file.
+    Returns the problem with the unknowns `instrument_from_base` and `table_from_target`, the location of C free, and
+    the quantities `angle` and `offset` between the axes and `axis_A`, `axis_C` (direction and a point, instrument's
+    frame).
+    """
+    mechanism = positioner()
+    positions = checked_positions(mechanism, positions, rows)
+    world, target = world_and_target(rotations, places, *mechanism.poses("table", positions))
+    instrument_from_base = Pose("instrument_from_base", world.rotation, world.translation, unit="mm", angle_unit="mrad")
+    table_from_target = Pose("table_from_target", target.rotation, target.translation, unit="mm", angle_unit="mrad")
+    readings = observe.pose_readings(places, rotations) if measured else None
+    observations = Observations(
+        observe.measured_pose(mechanism.pose("table")), instrument_from_base, positions, table_from_target,
+        np.asarray(rotations),
+        readings=readings, u=Gaussian.standard([u_position] * 3 + [u_orientation] * 3), group="pose", rows=rows,
+        components=("x", "y", "z", "rx", "ry", "rz"), unit=["mm"] * 3 + ["mrad"] * 3,
+        covariates={name: (positions[:, i], "rad") for i, name in enumerate(("A", "C"))})
+    problem = Problem([observations], effects=effects(mechanism), name="two-axis positioner")
+    problem = problem.free(*(problem.parameters(name) for name in (*LOCATION, *free)))
+    return problem.with_quantities(*_quantities(mechanism.pose("table"), problem, instrument_from_base))
+
+
+def _quantities(table: Any, problem: Problem, instrument_from_base: Pose) -> list[Quantity]:
+    """Angle and offset of the axes, and both as lines in the instrument's frame, all positions at zero."""
+    def axes(pose: Any, positions: Any) -> Any:
+        second, origin, first = pose(positions), np.zeros(3), np.array([1.0, 0.0, 0.0])
+        return vertcat(observe.angle_between(first, second.rotation[:, 2]),
+                       geometry.signed_line_distance(origin, first, second.translation, second.rotation[:, 2]))
+
+    def tilting_axis(world: Any) -> Any:
+        return vertcat(world.rotation[:, 0], world.translation)
+
+    def table_axis(pose: Any, world: Any, positions: Any) -> Any:
+        line = world @ pose(positions)
+        return vertcat(line.rotation[:, 2], line.translation)
+    at_zero = Shared(np.zeros(2))
+    line = {"unit": ["1"] * 3 + ["mm"] * 3, "parts": ("dx", "dy", "dz", "x", "y", "z")}
+    return [quantity(problem, "axes", table, axes, at_zero, unit=["deg", "mm"], parts=("angle", "offset")),
+            Quantity("axis_A", tilting_axis, instrument_from_base, **line),
+            quantity(problem, "axis_C", table, table_axis, instrument_from_base, at_zero, **line)]
+
+
+def from_job(job: Job) -> Problem:
+    """Declare the positioner of a job: `[options] measurements` (YAML) or the table [data.poses].
+
+    Raises InputError for missing columns, positions that cannot be, or quaternions of the wrong length or order.
+    """
+    positions, places, rotations, rows = _read(job)
+    u_position = job.options.quantity("u_position", "length")
+    u_orientation = job.options.quantity("u_orientation", "angle")
+    return declare(positions, places, rotations, u_position, u_orientation, job.options.texts("free", ()), rows)
+
+
+def _read(job: Job) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    if "measurements" in job.options:
+        found = measured_poses(data_path(job, job.options.text("measurements")))
+        rows, positions, places, quaternions, where = (np.arange(1, len(found.names) + 1), found.positions,
+                                                       found.places,
+                                                       found.quaternions, str(found.path))
+    else:
+        table = job.table("poses")
+        rows, where = table.row_numbers, str(table.path)
+        positions = np.stack([table.number(name, "angle") for name in "AC"], axis=1)
+        places = np.stack([table.number(name, "length") for name in "xyz"], axis=1)
+        quaternions = np.stack([table.number(name) for name in ("qw", "qx", "qy", "qz")], axis=1)
+    positions = checked_positions(positioner(), positions, rows, where)
+    rotations = observe.rotations_from_quaternions(*quaternions.T, where=where, rows=rows)
+    frames = positioner().poses("table", positions)
+    other = observe.rotations_from_quaternions(*quaternions[:, [3, 0, 1, 2]].T, where=where, rows=rows)
+    other_quaternion_order(misfit(rotations, places, *frames), misfit(other, places, *frames), where)
+    return positions, places, rotations, rows
+
+
+def blocks_of(positions: ArrayLike) -> np.ndarray:
+    """Which of BLOCKS held-out sets each pose belongs to: neighbours in both axes stay together (patches of 3 by 4
+    levels)."""
+    levels = [np.unique(np.round(column, 2), return_inverse=True)[1] for column in np.asarray(positions).T]
+    return (levels[0] // 3 * 4 + levels[1] // 4) % BLOCKS
+
+
+def heldout(job: Job, estimate: Any) -> list[tuple[str, float, float, str]]:
+    """Residuals of poses that were not used: designed axes before, identified axes after; each block predicted from the
+    rest.
+
+    Returns (quantity, before, after, unit) of the rms place and turn residual of a pose.
+    """
+    positions, places, rotations, rows = _read(job)
+    u = estimate.problem.observations[0].uncertainty.weighting(1, 6, "pose").u[0]
+    free, blocks = [a.effect.label for a in estimate.problem.attached
+                    if not estimate.problem.is_held(a.unknown).all()], \
+        blocks_of(positions)
+    misses = {False: np.zeros((len(rows), 6)), True: np.zeros((len(rows), 6))}
+    for block in np.unique(blocks):
+        used, kept = np.flatnonzero(blocks != block), np.flatnonzero(blocks == block)
+        for identified, residual in misses.items():
+            problem = declare(positions[used], places[used], rotations[used], u[0], u[3], free)
+            if not identified:
+                problem = problem.hold(*[problem.parameters(label) for label in free])
+            known = solve(problem)
+            names = [*(x.name for x in problem.unknowns if x.kind == "pose"), *free]
+            new = declare(positions[kept], places[kept], rotations[kept], u[0], u[3], free)
+            predicted = predict(new, {name: known[name] for name in names})["pose"]
+            residual[kept] = new.observations[0].readings - predicted
+    rms = {key: (np.sqrt(np.mean(np.sum(r[:, :3] ** 2, 1))) / mm, np.sqrt(np.mean(np.sum(r[:, 3:] ** 2, 1))) / degree)
+           for key, r in misses.items()}
+    return [("rms place residual of a pose not used", float(rms[False][0]), float(rms[True][0]), "mm"),
+            ("rms turn residual of a pose not used", float(rms[False][1]), float(rms[True][1]), "deg")]
+
+
+def example(seed: int) -> Problem:
+    """48 poses over both axes measured by a camera, with simulated errors of the axes. seed: of the errors."""
+    a, c = np.meshgrid(np.linspace(-30, 30, 6) * degree, np.linspace(0, 315, 8) * degree, indexing="ij")
+    return _simulated(np.stack([a.ravel(), c.ravel()], axis=1), seed)
+
+
+def _simulated(positions: np.ndarray, seed: int) -> Problem:
+    frames, translations = positioner().poses("table", positions)
+    world = geometry.Transform(geometry.rotation_from_rpy(0.3, 0.1, 2.0), np.array([0.4, -0.2, 1.9]))
+    target = geometry.Transform(geometry.rotation_from_rpy(0.1, -0.2, 0.5), np.array([0.30, 0.15, 0.05]))
+    rough = [world @ geometry.Transform(r, t) @ target for r, t in zip(frames, translations, strict=True)]
+    problem = declare(positions, np.array([p.translation for p in rough]), np.array([p.rotation for p in rough]),
+                      0.2 * mm, 0.4 * mrad, free=("scale_A",), measured=False)
+    truth = {"EY0C (C)": 0.63 * mm, "EB0C (C)": 0.43 * mrad, "scale_A (A)": 1.1e-3}
+    return simulate(problem, {problem.parameters(name): [[value]] for name, value in truth.items()}, seed)
+
+
+def example_job(seed: int) -> dict[str, str]:
+    """A runnable job with simulated measured poses: {file name: text}. seed: of the errors."""
+    problem = example(seed)
+    observations = problem.observations[0]
+    near = observations.arguments[3].data.reshape(-1, 3, 3).transpose(0, 2, 1)
+    lines = ["# source: simulated, camera on a two-axis positioner", "A_deg,C_deg,x_mm,y_mm,z_mm,qw,qx,qy,qz"]
+    for i, reading in enumerate(observations.readings):
+        rotation = near[i] @ geometry.rotation_about(*_axis_and_angle(reading[3:]))
+        a, c = (observations.covariates[name][i] / degree for name in "AC")
+        place = ",".join(f"{value / mm:.5f}" for value in reading[:3])
+        lines.append(f"{a:.4f},{c:.4f},{place}," + ",".join(f"{value:.9f}" for value in observe.quaternion(rotation)))
+    job = """problem = "problems.positioner"
+
+[data.poses]
+file = "poses.csv"
+
+[options]
+u_position = "0.2 mm"
+u_orientation = "0.4 mrad"
+free = ["scale_A"]
+"""
+    return {"job.toml": job, "poses.csv": "\n".join(lines) + "\n"}
+
+
+def _axis_and_angle(vector: np.ndarray) -> tuple[np.ndarray, float]:
+    angle = float(np.linalg.norm(vector))
+    return vector / angle, angle
