@@ -98,7 +98,7 @@ def published() -> dict[str, ModuleType]:
     found = {}
     for name in own_names() + foreign_names():
         candidate = importlib.import_module(name)
-        if hasattr(candidate, "published") and hasattr(candidate, "reproduce"):
+        if isinstance(getattr(candidate, "published", None), str) and hasattr(candidate, "reproduce"):
             found[candidate.published] = candidate
     return dict(sorted(found.items()))
 
@@ -113,8 +113,12 @@ def source(candidate: ModuleType) -> str:
     stated = getattr(candidate, "source", None)
     if isinstance(stated, str):
         return stated
-    said = [line for line in (inspect.getdoc(candidate) or "").splitlines() if line.lower().startswith("source")]
-    return said[0].split(":", 1)[-1].strip() if said else ""
+    for paragraph in (inspect.getdoc(candidate) or "").split("\n\n"):
+        lines = paragraph.splitlines()
+        begin = [number for number, line in enumerate(lines) if line.lower().startswith("source")]
+        if begin:
+            return " ".join(lines[begin[0] :]).split(":", 1)[-1].strip().rstrip(".")
+    return ""
 
 
 def _offering(name: str) -> ModuleType:

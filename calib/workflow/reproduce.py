@@ -223,6 +223,12 @@ class Reproduction:
         """
         return {kind: sum(item.verdict == kind for item in self.items) for kind in (AGREES, DIFFERS, NOT_DETERMINABLE)}
 
+    def summary(self) -> str:
+        """The counts in words, such as "15 agree, 3 differ, 2 cannot be determined"."""
+        words = {AGREES: ("agrees", "agree"), DIFFERS: ("differs", "differ"),
+                 NOT_DETERMINABLE: ("cannot be determined", "cannot be determined")}
+        return ", ".join(f"{count} {words[kind][count != 1]}" for kind, count in self.counts().items() if count)
+
     def content(self) -> dict[str, Any]:
         """The content of NAME.json.
 
