@@ -122,7 +122,7 @@ def test_with_priors_the_errors_are_found_as_well_as_their_uncertainty_says(floa
 
 
 def held_out(measured, name):
-    """Pose error [m] of the poses that were held out, from their axes alone: nominal, and with the identified errors."""
+    """Pose error [m] of the poses held out, from their axes alone: nominal, and with the identified errors."""
     setup, problem = scheme(measured, name)
     checks, true = measured.axes.where(measured.axes.split == "check"), measured.part[-CHECKS:]
     functions = identified(identify(problem, KNOWLEDGE))
