@@ -208,8 +208,7 @@ def sharing(
 def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
     """What may be missing: the effects of the theodolite, and a motion of the axis twice per turn.
 
-    blocks: set-ups at which a step may have happened. Returns the effects; the axis motion has parameters for every
-    target.
+    blocks: set-ups at which a step may have happened. Returns the effects; every target has its own axis motion.
     """
     motion = Effect(
         "radial_runout_2x",
@@ -252,8 +251,7 @@ def from_job(job: Job) -> Problem:
     if data.has("face"):
         face = data.whole("face")
         for row in np.flatnonzero((face != 1) & (face != 2)):
-            raise
-            InputError(f"{data.place(int(row), data.column('face'))}: face {face[row]} is neither 1 nor 2; correct it")
+            raise InputError(f"{data.place(int(row), data.column('face'))}: face {face[row]} is neither 1 nor 2; correct it")
         face = np.where(face == 1, 1.0, -1.0)
     problem = declare(
         np.stack([data.number("H", "angle"), data.number("V", "angle")], axis=1), data.text("target"),
@@ -269,8 +267,7 @@ def from_job(job: Job) -> Problem:
 def _usable(found: Sequence[Effect], problem: Problem) -> tuple[Effect, ...]:
     """The effects whose inputs are there.
 
-    The tilt of the standing axis and the circle eccentricity are left out: a field of one axis is too narrow to see
-    them.
+    Tilt of the standing axis and circle eccentricity are left out: the field of one axis is too narrow to see them.
     """
     names = {*problem.observations[0].covariates, "angle", "face", "elevation", "horizontal_angle", "zenith_angle"}
     wide = ("standing_axis_tilt", "circle_eccentricity")

@@ -38,8 +38,7 @@ _PRINTED_U = {item: sigma for sigma, item in _SIGMA_OF.items()} | {"it8a": "s8"}
 def reproduce() -> Reproduction:
     """Recompute every printed number of the paper from its tables.
 
-    Returns the comparison with the studies: sharing tests, joint results, budgets, Monte Carlo, tracker simulation,
-    advice.
+    Returns the comparison; its studies are sharing tests, joint results, budgets, Monte Carlo, tracker and advice.
     """
     printed = Printed.read("five_axis/claims.csv", key="key")
     numbers = {key: one.number for key, one in printed.items() if one.number is not None}

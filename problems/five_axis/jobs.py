@@ -89,8 +89,9 @@ def example(seed: int) -> Problem:
 
 
 def example_job(seed: int) -> dict[str, str]:
-    """A runnable job with simulated readings in the columns of the paper's tables: {file name: text}. seed: of the
-    errors.
+    """A runnable job with simulated readings in the columns of the paper's tables: {file name: text}.
+
+    seed: of the errors.
     """
     drawn = {o.group: o.readings for o in example(seed).observations}
     tables = {name: shipped(f"{FOLDER}/{file}") for name, file in FILES.items()}

@@ -53,8 +53,7 @@ class Sharing:
 def declare(readings: Readings, sharing: Sharing) -> Problem:
     """All tables as observations of one world, with the printed results as quantities.
 
-    readings: of all tables; sharing: what is accepted as one circle. Returns the problem, its groups named as in
-    `step_by_step`.
+    readings: of all tables; sharing: what is accepted as one circle. Returns the problem, groups as in `step_by_step`.
     """
     r = readings
     lengths = list(r.distance)

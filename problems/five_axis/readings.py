@@ -31,9 +31,7 @@ NEAR_AND_FAR = {"pitch": ("A", "B"), "roll": ("C", "D"), "two_axis_pitch": ("E",
 
 @dataclass(frozen=True)
 class Circle:
-    """Readings of one table of targets: target (n,), angle (n,) [rad], reading (n,) or (n, 2) H, V [rad], row numbers
-    (n,).
-    """
+    """Readings of one table: target (n,), angle (n,) [rad], reading (n,) or (n, 2) H, V [rad], row numbers (n,)."""
 
     target: np.ndarray
     angle: np.ndarray

@@ -149,8 +149,7 @@ def two_axis_intersection(
 def turned_wire(first: Any, second: Any, first_distance: Any, second_distance: Any, sense: Any) -> Any:
     """Disagreement of two theodolites at 90 degrees about the circle of one filament (2,) [m].
 
-    sense: +1 where the yaw axis turns from X toward Y as the readings see it; then the second one sees -(a sin + b
-    cos).
+    sense: +1 where the yaw axis turns from X toward Y; then the second one sees -(a sin + b cos).
     """
     return vertcat(
         first[0] * first_distance - sense * second[1] * second_distance,
