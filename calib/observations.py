@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -173,6 +173,20 @@ class Observations(BoundModel):
         copy = object.__new__(type(self))
         values = None if readings is None else np.array(readings, dtype=float).reshape(self.n, -1)
         copy.__dict__.update(self.__dict__, readings=values, uncertainty=u or self.uncertainty)
+        return copy
+
+
+    def keep(self, keep: NDArray[np.bool_]) -> Observations:
+        """The rows where keep (n,) is true."""
+        copy, mask = object.__new__(type(self)), np.asarray(keep, dtype=bool)
+        arguments = tuple(
+            replace(a, index=a.index[mask]) if a.index is not None
+            else replace(a, data=a.data[mask]) if a.data is not None and len(a.data) == self.n and self.n > 1 else a
+            for a in self.arguments)
+        copy.__dict__.update(
+            self.__dict__, n=int(mask.sum()), arguments=arguments, rows=self.rows[mask], uncertainty=self.uncertainty.kept(mask),
+            readings=None if self.readings is None else self.readings[mask],
+            covariates={name: values[mask] for name, values in self.covariates.items()})
         return copy
 
 

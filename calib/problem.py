@@ -213,6 +213,14 @@ class Problem(Frozen):
         return self._replaced(lambda o: o.with_readings(None if o.readings is None else o.readings, new[o.group])
                               if o.group in new else o)
 
+    def keep(self, rows: Mapping[Any, NDArray[np.bool_]]) -> Problem:
+        """The same problem with only some rows: {group or observations: (n,) true where a row stays}.
+
+        A group of which nothing stays is left out. Effects keep their parameters.
+        """
+        masks = {self._group(key): np.asarray(mask, bool) for key, mask in rows.items()}
+        return self._replaced(lambda o: o if o.group not in masks else o.keep(masks[o.group]) if masks[o.group].any() else None)
+
     def without(self, *groups: Any) -> Problem:
         """The same problem without some groups of observations."""
         names = {self._group(g) for g in groups}

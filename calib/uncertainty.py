@@ -95,6 +95,10 @@ class Gaussian:
         """Row operations for n readings of dim components; where: named in errors."""
         raise NotImplementedError
 
+    def kept(self, keep: NDArray[np.bool_]) -> Gaussian:
+        """The uncertainty of the rows where keep (n,) is true."""
+        return self
+
     @property
     def needs(self) -> tuple[str, ...]:
         """Names of row quantities that it depends on."""
@@ -138,6 +142,9 @@ def _full(rows: NDArray[np.int64], covariance: Array, where: str) -> tuple[Mixin
 class _Independent(Gaussian):
     u: Array
 
+    def kept(self, keep: NDArray[np.bool_]) -> Gaussian:
+        return _Independent(self.u[keep]) if self.u.ndim and len(self.u) == len(keep) else self
+
     def weighting(self, n, dim, where, quantities=None):  # type: ignore[no-untyped-def]
         u, rows = _checked(self.u, n, dim, where), _whole_rows(n)
         return Weighting(u, (Mixing(rows, 1 / u),), (Mixing(rows, u ** -2.0),), (Mixing(rows, u),))
@@ -146,6 +153,9 @@ class _Independent(Gaussian):
 @dataclass(frozen=True)
 class _RowMatrix(Gaussian):
     covariance: Array
+
+    def kept(self, keep: NDArray[np.bool_]) -> Gaussian:
+        return _RowMatrix(self.covariance[keep]) if self.covariance.ndim == 3 else self
 
     def weighting(self, n, dim, where, quantities=None):  # type: ignore[no-untyped-def]
         try:
@@ -161,6 +171,15 @@ class _RowMatrix(Gaussian):
 class _Grouped(Gaussian):
     index: NDArray
     matrices: Mapping[str, Array]
+
+    def kept(self, keep: NDArray[np.bool_]) -> Gaussian:
+        keys, matrices = np.array([str(k) for k in self.index]), {}
+        for key, matrix in self.matrices.items():
+            stays = keep[keys == key]
+            if stays.any():
+                inside = np.repeat(stays, len(matrix) // len(stays))
+                matrices[key] = matrix[np.ix_(inside, inside)]
+        return _Grouped(keys[keep], matrices)
 
     def weighting(self, n, dim, where, quantities=None):  # type: ignore[no-untyped-def]
         if len(self.index) != n:
@@ -190,6 +209,10 @@ class _Serial(Gaussian):
     correlation: float
     order: NDArray
     chain: NDArray | None
+
+    def kept(self, keep: NDArray[np.bool_]) -> Gaussian:
+        return _Serial(self.u[keep] if self.u.ndim else self.u, self.correlation, self.order[keep],
+                       None if self.chain is None else self.chain[keep])
 
     def weighting(self, n, dim, where, quantities=None):  # type: ignore[no-untyped-def]
         if dim != 1:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from declared import line, network
 
-from calib import Effect, Observations, Parameter, Problem, Unknown, direct, hands_slots_to, linearise, prior, simulate, solve
+from calib import Effect, Gaussian, Observations, Parameter, Problem, Unknown, direct, hands_slots_to, linearise, prior, simulate, solve
 from calib.errors import DeclarationError
 from calib.trace import offered
 
@@ -121,3 +121,27 @@ def test_a_start_may_come_from_an_earlier_estimate_or_by_name():
     estimate = solve(problem, start={"offset": 5.0, slope: -3.0})
     assert solve(problem, start=estimate).iterations <= estimate.iterations
     assert estimate["slope"] == pytest.approx(1.0)
+
+
+def test_keeping_rows_keeps_their_readings_covariates_and_effects():
+    problem, *_ = declare()
+    problem = problem.with_effects(DRIFT, OFFSET).free(DRIFT)
+    stays = np.arange(12) % 3 != 0
+    kept = problem.keep({"sag": stays})
+    assert list(kept.observations[0].rows) == [2, 3, 5, 6, 8, 9, 11, 12]
+    assert kept.parameters(OFFSET) is problem.parameters(OFFSET)
+    weights = np.where(stays, 1e-3, 1e6)
+    heavy = problem.with_uncertainty({"sag": Gaussian.standard(weights)})
+    assert solve(kept)[DRIFT] == pytest.approx(solve(heavy)[DRIFT], rel=1e-6)
+
+
+@pytest.mark.parametrize("u", [lambda n: np.linspace(1, 2, n), lambda n: Gaussian.matrix(np.linspace(1, 2, n)[:, None, None]),
+                               lambda n: Gaussian.serial(0.1, 0.5, np.arange(n), chain=np.arange(n) // 4),
+                               lambda n: Gaussian.groups(np.arange(n) // 4, {k: np.eye(4) + 0.3 for k in range(3)})])
+def test_every_uncertainty_follows_the_rows_that_stay(u):
+    problem, *_ = declare()
+    kept = problem.with_uncertainty({"sag": u(12) if isinstance(u(12), Gaussian) else Gaussian.standard(u(12))}).keep(
+        {"sag": np.arange(12) < 8})
+    whole = problem.with_uncertainty({"sag": u(12) if isinstance(u(12), Gaussian) else Gaussian.standard(u(12))})
+    assert np.allclose(linearise(kept).groups[0].weighting.u, linearise(whole).groups[0].weighting.u[:8])
+    assert solve(kept).certificate.passed

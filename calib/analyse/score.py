@@ -1,0 +1,193 @@
+"""Score tests: what held effects would explain of the residuals, from one linearisation and without a refit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.blocks import Array
+from calib.effect import Effect
+from calib.elimination import DenseFactor
+from calib.linearisation import Linearisation
+from calib.unknown import Selection, Unknown
+
+INVISIBLE = 1e-7      # share of a candidate's signal that the free unknowns leave over, below which it cannot be seen
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One held effect, or one key of it, that may be freed: its parameters as columns of the linearisation."""
+
+    effect: Effect
+    unknown: Unknown
+    instance: int
+    columns: tuple[int, ...]
+
+    @property
+    def key(self) -> str:
+        """Key of the covariate that it belongs to; empty where the effect has none."""
+        return self.unknown.keys[self.instance] if self.effect.per is not None else ""
+
+    @property
+    def channel(self) -> str:
+        """Where it acts: the channel of the effect, with the key in place of `{key}`, or the key alone."""
+        if self.effect.per is None:
+            return self.effect.channel
+        return self.effect.channel.format(key=self.key) if "{key}" in self.effect.channel else self.key
+
+    @property
+    def label(self) -> str:
+        """Name and channel, such as `drift (reading)`."""
+        return f"{self.effect.name} ({self.channel})"
+
+    @property
+    def selection(self) -> Selection:
+        """What to free in the problem."""
+        return Selection(self.unknown, np.array(self.instance))
+
+
+@dataclass(frozen=True)
+class Score:
+    """Score test of one candidate.
+
+    statistic: drop of v'Pv that a linear refit would give; dof; p_value: of the candidate being absent, uncorrected;
+    separability: smallest share of its signal that the free unknowns cannot imitate, 0 to 1;
+    step, u: one-step estimate and standard uncertainty of its parameters (k,), SI.
+    """
+
+    candidate: Candidate
+    statistic: float
+    dof: int
+    p_value: float
+    separability: float
+    step: Array
+    u: Array
+
+
+def candidates(fit: Linearisation) -> list[Candidate]:
+    """All held effects of a linearisation, one candidate for each key."""
+    found = []
+    for effect, unknown in fit.effects.items():
+        for instance in range(unknown.count):
+            begin = fit.layout.offset[unknown] + instance * unknown.freedom
+            columns = range(begin, begin + unknown.freedom)
+            if not fit.layout.free[list(columns)].any():
+                found.append(Candidate(effect, unknown, instance, tuple(columns)))
+    return found
+
+
+@dataclass(frozen=True)
+class Field:
+    """Whitened residuals outside the reach of the free unknowns, and what the candidates leave there.
+
+    residual (n,): of all scalar readings; redundancy (n,): share of an error of each reading that shows in it;
+    basis (n, q): orthonormal directions that are taken; signals: for each candidate its columns (n, k) outside the basis;
+    sizes: for each candidate the norms (k,) of its columns before anything was taken away.
+    """
+
+    residual: Array
+    redundancy: Array
+    basis: Array
+    signals: tuple[Array, ...]
+    sizes: tuple[Array, ...]
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom."""
+        return len(self.residual) - self.basis.shape[1]
+
+    @cached_property
+    def squares(self) -> float:
+        """Sum of squared whitened residuals."""
+        return float(self.residual @ self.residual)
+
+    def outside(self, columns: Array) -> Array:
+        """Columns (n, k) less their part within the basis."""
+        once = columns - self.basis @ (self.basis.T @ columns)
+        return once - self.basis @ (self.basis.T @ once)
+
+    def with_signals(self, columns: Sequence[Array]) -> Field:
+        """The same with other candidates, given by their whole columns (n, k)."""
+        return replace(self, signals=tuple(self.outside(c) for c in columns), sizes=tuple(np.linalg.norm(c, axis=0) for c in columns))
+
+    @cached_property
+    def frames(self) -> tuple[Array, ...]:
+        """Orthonormal basis (n, k') of what can be seen of each candidate; k' is 0 where nothing can."""
+        return tuple(orthonormal(s, z) for s, z in zip(self.signals, self.sizes, strict=True))
+
+    @cached_property
+    def statistics(self) -> tuple[Array, NDArray[np.int64]]:
+        """Drop of the sum of squares for each candidate, and its degrees of freedom."""
+        drops = np.array([float(np.sum((f.T @ self.residual) ** 2)) for f in self.frames])
+        return drops, np.array([f.shape[1] for f in self.frames], dtype=np.int64)
+
+    def taking(self, frame: Array) -> Field:
+        """The field after further orthonormal directions (n, k), outside the basis, are taken."""
+        basis = np.concatenate([self.basis, frame], axis=1)
+        def less(columns: Array) -> Array:
+            return columns - frame @ (frame.T @ columns)
+        return Field(less(self.residual), np.maximum(self.redundancy - np.sum(frame ** 2, axis=1), 0.0), basis,
+                     tuple(less(s) for s in self.signals), self.sizes)
+
+    def draw(self, generator: np.random.Generator, count: int) -> Array:
+        """Residuals (n, count) as they would be if nothing but the stated noise were there."""
+        return self.outside(generator.standard_normal((len(self.residual), count)))
+
+
+def orthonormal(columns: Array, sizes: Array) -> Array:
+    """Orthonormal basis of columns (n, k), leaving out what is no more than rounding of columns of the given sizes (k,)."""
+    scaled = columns / np.where(sizes > 0, sizes, 1.0)
+    left, values, _ = np.linalg.svd(scaled, full_matrices=False)
+    return left[:, values > INVISIBLE]
+
+
+def field_of(fit: Linearisation, chosen: Sequence[Candidate]) -> Field:
+    """The field of a linearisation: whitened residuals and the signals of candidates outside the free unknowns."""
+    derivatives, residual = fit.rows
+    dense = derivatives.toarray()
+    root = fit.factor.root if isinstance(fit.factor, DenseFactor) else None
+    basis = np.linalg.qr(dense @ root)[0] if root is not None else np.linalg.qr(dense)[0]
+    residual = residual - basis @ (basis.T @ residual)
+    redundancy = np.maximum(1.0 - np.sum(basis ** 2, axis=1), 0.0)
+    columns = fit.held_columns([c for one in chosen for c in one.columns])
+    splits = np.cumsum([len(one.columns) for one in chosen])[:-1]
+    return Field(residual, redundancy, basis, (), ()).with_signals(np.split(columns, splits, axis=1) if chosen else [])
+
+
+def scores(fit: Linearisation, chosen: Sequence[Candidate] | None = None) -> list[Score]:
+    """Score tests of held effects, largest first.
+
+    fit: a linearisation of an estimate; chosen: candidates (all held effects if not given).
+    T = (A'r)' V^-1 (A'r), V = A'A - A'J (J'J)^-1 J'A; separability is the smallest eigenvalue of (V, A'A).
+    Source: Rao's score test; DESIGN section 3.
+    """
+    from scipy.special import gammaincc
+    chosen = candidates(fit) if chosen is None else list(chosen)
+    field = field_of(fit, chosen)
+    columns = fit.held_columns([c for one in chosen for c in one.columns])
+    result, begin = [], 0
+    for one, signal, size in zip(chosen, field.signals, field.sizes, strict=True):
+        whole = columns[:, begin:begin + len(one.columns)]
+        begin += len(one.columns)
+        frame = orthonormal(signal, size)
+        statistic, dof = float(np.sum((frame.T @ field.residual) ** 2)), frame.shape[1]
+        separability = _separability(signal, whole, size)
+        step, u = np.zeros(len(one.columns)), np.full(len(one.columns), np.inf)
+        if dof == len(one.columns):
+            inverse = np.linalg.pinv(signal)
+            step, u = inverse @ field.residual, np.sqrt(np.einsum("ij,ij->i", inverse, inverse))
+        p_value = float(gammaincc(dof / 2, statistic / 2)) if dof else 1.0
+        result.append(Score(one, statistic, dof, p_value, separability, step, u))
+    return sorted(result, key=lambda s: s.p_value)
+
+
+def _separability(signal: Array, whole: Array, size: Array) -> float:
+    scale = np.where(size > 0, size, 1.0)
+    frame, corner = np.linalg.qr(whole / scale)
+    if not np.all(np.abs(np.diag(corner)) > 1e-12):
+        return 0.0
+    return float(np.linalg.svd(signal / scale @ np.linalg.inv(corner), compute_uv=False)[-1] ** 2)
