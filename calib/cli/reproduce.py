@@ -51,15 +51,18 @@ def say(output: Output, found: Reproduction) -> None:
     compared = [item for item in found.items if item.printed is not None]
     beside = len(found.items) - len(compared)
     further = f"; {beside} further numbers with nothing printed beside them" if beside else ""
-    output.say(f"{found.name}: {len(compared)} printed numbers, {Reproduction(found.name, tuple(compared)).summary()}{further}")
-    missing: dict[str, list[str]] = {}
+    summary = Reproduction(found.name, tuple(compared)).summary()
+    output.say(f"{found.name}: {len(compared)} printed numbers, {summary}{further}")
+    missing: dict[str, list[Item]] = {}
     for item in compared:
         if item.value is None:
-            missing.setdefault(item.why, []).append(item.key)
+            # Reasons that begin alike are one reason with a detail to each number.
+            missing.setdefault(item.why[:60], []).append(item)
         elif item.verdict != AGREES:
             output.say(_line(f"  {item.key}: {_printed(item)} printed, {_value(item)} computed: {item.why}"))
-    for why, keys in missing.items():
-        output.say(_line(f"  not determinable: {', '.join(keys[:4])}{' ...' if len(keys) > 4 else ''}: {why}"))
+    for items in missing.values():
+        keys = ", ".join(item.key for item in items[:4]) + (" ..." if len(items) > 4 else "")
+        output.say(_line(f"  not determinable, {len(items)}: {keys}: {items[0].why}"))
     output.say()
 
 
