@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib import Effect, predict, simulate
+from calib import Effect, Problem, predict, simulate, solve
 from calib.files import csv_text
 from calib.geometry import Transform
 from calib.units import arcsec, degree, minute, mm, um
@@ -50,46 +50,68 @@ def drawn_poses(count: int, seed: int, reach: float = 150 * mm, turn: float = 2.
 
 def measure(part: Sequence[Transform], seed: int, truth: Mapping[str, ArrayLike] | None = None, *, setup: Setup = HALL,
             further: Sequence[Effect] = (), noise: bool = True, checks: int = 0) -> Campaign:
-    """Readings of all axes and targets in each of the poses, from the declared model.
+    """Readings of all axes and targets in each of the poses, from the declared model; the part floats on the locators.
 
     part: true hall_from_part; seed: of conditions and noise; truth: {label of an effect: parameters, SI}; setup;
     further: effects beyond the named ones that `truth` speaks of; noise: whether errors are drawn; checks: how many
     poses at the end are for checking only.
     """
+    axes, targets = _conditions(setup, len(part), seed, checks)
+    values: dict[Any, Any] = {"part": list(part), "tracker": TRACKER, **(truth or {})}
+    # Errors are taken at the travel that is read, so the travel has to come first.
+    for last in (False, False, True):
+        problem = declare(setup, axes, targets, u_axis=U_AXIS, u_tracker=U_TRACKER).with_effects(*further)
+        readings = _drawn(problem, values, seed) if last and noise else predict(problem, values)
+        axes = replace(axes, values=_by_row(axes, setup, readings))
+        targets = replace(targets, values=readings[TARGETS])
+    return Campaign(setup, axes, targets, tuple(part), TRACKER)
+
+
+def drive(commanded: Sequence[Transform], seed: int, truth: Mapping[str, ArrayLike], *, setup: Setup = HALL,
+          further: Sequence[Effect] = (), checks: int = 0) -> Campaign:
+    """All nine axes driven to the nominal travels of commanded poses; joints that give way alike let the part take the
+    pose nearest to all nine. The axes read those travels, without noise; the tracker measures where the part went.
+
+    Arguments as for `measure`, commanded poses in the place of true ones. The part of the campaign is where it went.
+    """
+    axes, targets = _conditions(setup, len(commanded), seed, checks)
+    nominal = declare(setup, axes, None, u_axis=U_AXIS)
+    axes = replace(axes, values=_by_row(axes, setup, predict(nominal, {"part": list(commanded)})))
+    driven = declare(setup, axes, None, u_axis=U_AXIS).with_effects(*further)
+    part = solve(driven, start=truth)["part"]
+    problem = declare(setup, axes, targets, u_axis=U_AXIS, u_tracker=U_TRACKER)
+    readings = _drawn(problem, {"part": list(part), "tracker": TRACKER}, seed)
+    return Campaign(setup, axes, replace(targets, values=readings[TARGETS]), tuple(part), TRACKER)
+
+
+def _conditions(setup: Setup, n: int, seed: int, checks: int) -> tuple[Readings, Readings]:
+    """Axis and target readings of n poses, all zero yet, with time, temperature, blocks and directions of approach."""
     generator = np.random.default_rng([seed, 1])
-    n = len(part)
     temperature = np.cumsum(generator.normal(0.0, 0.2, n))
     start = 5 * minute * np.arange(n)
     split = np.where(np.arange(n) < n - checks, "fit", "check")
     block = 1 + (np.arange(n) >= n // 2)
     approach = generator.choice([-1.0, 1.0], (n, 3))
-
-    def conditions(index: np.ndarray, items: Sequence[str], first_row: int, later: np.ndarray,
-                   approached: bool) -> Readings:
-        count = len(items)
-        rows = 1 + first_row + per_pose * index + np.tile(np.arange(count), n)
-        return Readings(1 + index, np.tile(items, n), np.zeros((n * count, 3)), approach[index] * approached,
-                        start[index] + np.tile(later, n), temperature[index], block[index], rows, split[index])
     keys, names = [locator.key for locator in setup.locators], list(setup.targets)
     per_pose = len(keys) + len(names)
-    axes = conditions(np.repeat(np.arange(n), len(keys)), keys, 0, np.zeros(len(keys)), True)
-    targets = conditions(np.repeat(np.arange(n), len(names)), names, len(keys), 15.0 * np.arange(1, len(names) + 1),
-                         False)
-    values: dict[Any, Any] = {"part": list(part), "tracker": TRACKER, **(truth or {})}
-    # Errors are taken at the travel that is read, so the travel has to come first.
-    for last in (False, False, True):
-        problem = declare(setup, axes, targets, u_axis=U_AXIS, u_tracker=U_TRACKER).with_effects(*further)
-        readings = ({o.group: o.readings for o in simulate(problem, values, seed, noise).observations} if last
-                    else predict(problem, values))
-        axes = replace(axes, values=_by_row(axes, keys, readings))
-        targets = replace(targets, values=readings[TARGETS])
-    return Campaign(setup, axes, targets, tuple(part), TRACKER)
+
+    def kind(items: Sequence[str], first_row: int, later: np.ndarray, approached: bool) -> Readings:
+        index = np.repeat(np.arange(n), len(items))
+        rows = 1 + first_row + per_pose * index + np.tile(np.arange(len(items)), n)
+        return Readings(1 + index, np.tile(items, n), np.zeros((len(index), 3)), approach[index] * approached,
+                        start[index] + np.tile(later, n), temperature[index], block[index], rows, split[index])
+    return (kind(keys, 0, np.zeros(len(keys)), True),
+            kind(names, len(keys), 15.0 * np.arange(1, len(names) + 1), False))
 
 
-def _by_row(axes: Readings, keys: Sequence[str], readings: Mapping[str, np.ndarray]) -> np.ndarray:
+def _drawn(problem: Problem, values: Mapping[Any, Any], seed: int) -> dict[str, np.ndarray]:
+    return {o.group: o.readings for o in simulate(problem, values, seed).observations}
+
+
+def _by_row(axes: Readings, setup: Setup, readings: Mapping[str, np.ndarray]) -> np.ndarray:
     values = np.zeros((len(axes.rows), len(AXES)))
-    for key in keys:
-        values[axes.item == key] = readings[axis_group(key)]
+    for locator in setup.locators:
+        values[axes.item == locator.key] = readings[axis_group(locator.key)]
     return values
 
 

@@ -9,16 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from casadi import vertcat
 from numpy.typing import NDArray
 
-from calib import Effect, Estimate, Linearisation, Problem, prior, solve, units
-from calib.geometry import Transform
+from calib import Effect, Estimate, Linearisation, Observations, Parameter, Problem, Shared, prior, solve, units
+from calib.geometry import Transform, cross
 from calib.units import arcsec, um
 from problems.locators.measured import Readings, Setup, declare, rigid_fit
 from problems.locators.vocabulary import axis_group, error_functions
 
+RESTING = 0.1 * um     # how well the forces of the joints balance, as displacement
 NAMED = 0.3       # a companion is named from this share of the leader's size on
 
 
@@ -157,6 +160,41 @@ def _rank(label: str) -> int:
     if label.startswith("squareness"):
         return 2
     return 3 if label.startswith(("positioning", "straightness")) else 4
+
+
+def balance(part_pose: Transform, give: Any, balls: Any) -> Any:
+    """Force and moment (6,) of ball joints that give way alike, per stiffness [m]; zero where the part is at rest.
+
+    part_pose: hall_from_part; give: (9,) [m], x, y, z of each joint in turn; balls: (3, 3) [m], centres in the part.
+    """
+    gives = [give[3 * i:3 * i + 3] for i in range(3)]
+    arms = [part_pose.turn(balls[i, :].T) for i in range(3)]
+    moment = sum(cross(arm, one) for arm, one in zip(arms, gives, strict=True))
+    return vertcat(sum(gives[1:], gives[0]), moment)
+
+
+def give_in_joints(problem: Problem, setup: Setup, u_give: float) -> Problem:
+    """All nine axes driven: the ball joints give way, each by an unknown amount per pose, in balance for every pose.
+
+    problem: of `declare` with tracker and all nine axes; setup; u_give: [m], how far a joint may give, as a prior.
+    Without it the strain of the joints would pass for an error of measurement, and what causes it would be lost.
+    """
+    part = next(u for u in problem.unknowns if u.name == "part")
+    joints = [Effect("give", "ball_point", lambda value, p: vertcat(-p.x, -p.y, -p.z),
+                     tuple(Parameter(axis, "um", (1 * um, 200 * um)) for axis in "xyz"), locator.key, per="pose",
+                     groups=(axis_group(locator.key),), source="rigid part on joints of equal stiffness")
+              for locator in setup.locators]
+    wider = problem.with_effects(*joints).free(*joints)
+    gives = [wider.parameters(joint) for joint in joints]
+    balls = np.array([locator.ball_in_part for locator in setup.locators])
+
+    def at_rest(part_pose: Transform, a: Any, b: Any, c: Any, centres: Any) -> Any:
+        return balance(part_pose, vertcat(a, b, c), centres)
+    rest = Observations(at_rest, part.each, *(give.each for give in gives), Shared(balls),
+                        readings=np.zeros((part.count, 6)),
+                        u=RESTING, group="balance", unit="um", components=("x", "y", "z", "about x", "about y",
+                                                                           "about z"))
+    return wider.with_observations(rest, *(prior(give, 0.0, u_give) for give in gives))
 
 
 def leaders_only(problem: Problem, found: Sequence[Combination]) -> Problem:

@@ -2,6 +2,7 @@
 
 Every effect of a locator acts through one of the errors of table 1, so its lever arms are those of the multi-body
 model.
+The recipes are made once (`cache`), so that models with the same effects are traced once.
 Source: Li Chen, Fang Qiang, Li Jiangxiong 2010, section 2.1.
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 from calib import Effect, Parameter
@@ -33,6 +35,7 @@ def axis_group(locator: str) -> str:
     return f"axes {locator}"
 
 
+@cache
 def locator_effects(locator: str) -> tuple[Effect, ...]:
     """The effects of one locator: zero offset, scale, squareness, straightness, pitch with its Abbe arm, hysteresis.
 
@@ -58,6 +61,7 @@ def locator_effects(locator: str) -> tuple[Effect, ...]:
     return tuple(replace(e, channel=f"{locator}.{e.channel}", groups=(axis_group(locator),)) for e in effects)
 
 
+@cache
 def hall_effects() -> tuple[Effect, ...]:
     """Effects common to all locators: thermal growth of base and guides, and sag of body Y that grows with its reach.
     """
@@ -70,7 +74,8 @@ def hall_effects() -> tuple[Effect, ...]:
                (Parameter("k", "um/m", (5e-6, 2e-3)),), "all", source="bending under the weight of the part"))
 
 
-def tracker_effects(blocks: Sequence[int]) -> tuple[Effect, ...]:
+@cache
+def tracker_effects(blocks: tuple[int, ...]) -> tuple[Effect, ...]:
     """Effects of the tracker: drift and steps of its frame, range offset, scale and transit tilt of its readings.
 
     blocks: the blocks at whose beginning the station may have moved.
@@ -84,9 +89,10 @@ def effects(locators: Sequence[str] = ("A", "B", "C"), blocks: Sequence[int] = (
 
     locators: their keys; blocks: the blocks at whose beginning the tracker may have moved.
     """
-    return (*(e for key in locators for e in locator_effects(key)), *hall_effects(), *tracker_effects(blocks))
+    return (*(e for key in locators for e in locator_effects(key)), *hall_effects(), *tracker_effects(tuple(blocks)))
 
 
+@cache
 def error_functions(locator: str) -> tuple[Effect, ...]:
     """The 21 errors of one locator as functions of the travel of their body, for identification.
 
