@@ -56,44 +56,23 @@ class Begin:
     lengths: Array
 
 
-@dataclass(frozen=True)
-class Squares:
-    """The linear fit: components of B in the span, the brackets |B|^2 - L^2, and sense L of each zeroing with its u."""
+def signed_curvature(points: Array, readings: Array) -> tuple[float, float]:
+    """sense/(2 L) [1/m] and its u, from the readings (n,) [m] of one zeroing on points (n, 3) [m]; L: mean path.
 
-    span: Span
-    inside: Array
-    brackets: Array
-    signed: Array
-    u_signed: Array
+    Dividing the squared equation by 2 L leaves the reading, which carries the error, alone on one side:
+    d = - P.B/(sense L) - sense/(2 L) (d^2 - |P|^2) + constant, with d and P counted from their means.
+    """
+    span, change = Span.of(points), readings - readings.mean()
+    offset = points - span.centre
+    bend = np.sum(offset**2, axis=1) - change**2
+    value, u = _least_squares(np.column_stack([bend, np.ones(len(points)), offset @ span.axes.T]), change)
+    return float(value[0]), float(u[0])
 
-    @staticmethod
-    def of(points: Array, readings: Array, zeroing: NDArray, absolute: bool) -> Squares:
-        """The fit to readings (n,) [m] on points (n, 3) [m] in zeroings (n,) 0 to m - 1."""
-        span, count = Span.of(points), int(zeroing.max()) + 1
-        offset, groups = points - span.centre, np.eye(count)[zeroing]
-        columns = [-2.0 * offset @ span.axes.T, groups] + ([] if absolute else [-2.0 * readings[:, None] * groups])
-        matrix = np.hstack(columns)
-        size = np.linalg.norm(matrix, axis=0)
-        size[size == 0.0] = 1.0
-        value, u = _least_squares(matrix / size, readings**2 - np.sum(offset**2, axis=1))
-        value, u = value / size, u / size
-        inside, brackets, signed = np.split(value, [span.rank, span.rank + count])
-        nothing = np.zeros(count)
-        return Squares(span, inside, brackets, *((nothing, nothing) if absolute else (signed, u[span.rank + count:])))
 
-    @property
-    def sense(self) -> Array:
-        """The counting sense of each zeroing (m,): +1 or -1 where it is beyond doubt, else 0."""
-        return np.where(np.abs(self.signed) > 6.0 * self.u_signed, np.sign(self.signed), 0.0)
-
-    def base_point(self) -> Array:
-        """The base point (3,) [m]; where the points lie in a plane or line, on its negative side."""
-        span, best = self.span, int(np.argmin(self.u_signed))     # the length that is known best gives the height
-        base = span.centre + self.inside @ span.axes
-        if span.rank == 3:
-            return base
-        square = self.brackets[best] + self.signed[best]**2 - self.inside @ self.inside
-        return base - np.sqrt(max(square, (0.05 * span.extent)**2)) * span.blank[-1]
+def counting_sense(points: Array, readings: Array) -> float:
+    """The counting sense that readings (n,) on points (n, 3) [m] show: +1 lengthening, -1 shortening, 0 undecided."""
+    value, u = signed_curvature(points, readings)
+    return float(np.sign(value)) if abs(value) > 8.0 * u else 0.0
 
 
 def begin(points: Array, readings: Array, zeroing: NDArray, sense: float, *, approximate: Array | None = None,
@@ -102,42 +81,65 @@ def begin(points: Array, readings: Array, zeroing: NDArray, sense: float, *, app
 
     points: (n, 3) [m]; readings: (n,) [m]; zeroing: (n,) 0 to m - 1; sense: +1 or -1, as declared.
     approximate: (3,) [m], taken as it is where given; absolute: the readings are whole lengths; name: for messages.
-    Return: base point and lengths. Raises InputError where the readings contradict the sense or show nothing.
+    Return: base point and lengths; where the points lie in a plane or line, the base point on its negative side.
+    Raises InputError where the readings contradict the sense or all points stand at one position.
     """
-    squares = Squares.of(points, readings, zeroing, absolute)
-    if not absolute and np.any(squares.sense == -np.sign(sense)):
-        wrong = int(np.flatnonzero(squares.sense == -np.sign(sense))[0])
-        length, u = squares.signed[wrong] * np.sign(sense), squares.u_signed[wrong]
-        is_now, should = ("lengthening", "shortening") if sense > 0 else ("shortening", "lengthening")
-        raise InputError(
-            f"{name}: wrong counting sense: counts = \"{is_now}\" says that the readings grow with a {is_now} path, "
-            f"but then the path at the zero of the reading comes out as {1e3 * length:.3f} mm (u = {1e3 * u:.3f} mm), "
-            f"and no path is shorter than nothing. The readings grow with a {should} path; set counts = \"{should}\"")
-    base = squares.base_point() if approximate is None else np.asarray(approximate, float)
-    distance = np.linalg.norm(points - base, axis=1) - sense * readings
-    count = int(zeroing.max()) + 1
-    return Begin(base, np.zeros(count) if absolute else np.array([distance[zeroing == k].mean() for k in range(count)]))
+    groups = [np.flatnonzero(zeroing == k) for k in range(int(zeroing.max()) + 1)]
+    if not absolute:
+        for i in groups:
+            _check_sense(points[i], readings[i], sense, name)
+    base = _base_point(points, readings, groups, absolute) if approximate is None else np.asarray(approximate, float)
+    excess = np.linalg.norm(points - base, axis=1) - sense * readings
+    return Begin(base, np.array([0.0 if absolute else excess[i].mean() for i in groups]))
 
 
-def counting_sense(points: Array, readings: Array) -> float:
-    """The counting sense that readings (n,) on points (n, 3) [m] show: +1 lengthening, -1 shortening, 0 undecided."""
-    return float(Squares.of(points, readings, np.zeros(len(points), int), absolute=False).sense[0])
+def _check_sense(points: Array, readings: Array, sense: float, name: str) -> None:
+    """Refuse a counting sense that the readings contradict beyond doubt."""
+    if np.ptp(points, axis=0).max() == 0.0 or counting_sense(points, readings) != -np.sign(sense):
+        return
+    value, u = signed_curvature(points, readings)
+    length = np.sign(sense) / (2.0 * value)
+    is_now, should = ("lengthening", "shortening") if sense > 0 else ("shortening", "lengthening")
+    raise InputError(
+        f"{name}: wrong counting sense: counts = \"{is_now}\" says that the readings grow with a {is_now} path, but "
+        f"then the mean path comes out as {1e3 * length:.2f} mm (u = {1e3 * abs(length * u / value):.2f} mm), and no "
+        f"path is shorter than nothing. The readings grow with a {should} path; set counts = \"{should}\"")
+
+
+def _base_point(points: Array, readings: Array, groups: list[NDArray], absolute: bool) -> Array:
+    """The base point (3,) from the linear fit of all zeroings together."""
+    span, count = Span.of(points), len(groups)
+    offset, change, member = points - span.centre, np.array(readings, float), np.zeros((len(points), count))
+    for k, i in enumerate(groups):
+        member[i, k] = 1.0
+        change[i] -= 0.0 if absolute else change[i].mean()
+    columns = [-2.0 * offset @ span.axes.T, member] + ([] if absolute else [-2.0 * change[:, None] * member])
+    value, _ = _least_squares(np.hstack(columns), change**2 - np.sum(offset**2, axis=1))
+    inside, brackets, paths = np.split(value, [span.rank, span.rank + count])
+    base = span.centre + inside @ span.axes
+    if span.rank == 3:
+        return base
+    # |B|^2 - L^2 of the zeroing with the longest way gives the height above the line or plane
+    best = int(np.argmax([np.ptp(points[i], axis=0).max() for i in groups]))
+    square = brackets[best] + (0.0 if absolute else paths[best] ** 2) - inside @ inside
+    return base - np.sqrt(max(square, (0.05 * span.extent) ** 2)) * span.blank[-1]
 
 
 def _least_squares(matrix: Array, right: Array) -> tuple[Array, Array]:
-    """Solution of least norm, and its standard uncertainties from the scatter (infinite where none is left over)."""
-    left, sizes, directions = np.linalg.svd(matrix, full_matrices=False)
+    """Solution of least norm in scaled columns, and its u from the scatter, infinite where that says nothing."""
+    size = np.linalg.norm(matrix, axis=0)
+    size[size == 0.0] = 1.0
+    left, sizes, directions = np.linalg.svd(matrix / size, full_matrices=False)
     kept = sizes > 1e-11 * sizes[0]
     inverse = directions[kept].T / sizes[kept]
     value = inverse @ (left[:, kept].T @ right)
     spare = len(right) - int(kept.sum())
-    if spare < 1:
-        return value, np.full(len(value), np.inf)
-    residual = right - matrix @ value
+    if spare < 3:
+        return value / size, np.full(len(value), np.inf)
+    residual = right - matrix / size @ value
     u = np.sqrt(residual @ residual / spare * np.sum(inverse**2, axis=1))
-    unseen = np.sum(directions[~kept]**2, axis=0) > 1e-6
-    u[unseen] = np.inf
-    return value, u
+    u[np.sum(directions[~kept] ** 2, axis=0) > 1e-6] = np.inf
+    return value / size, u / size
 
 
 def unseen(points: Array) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Layout of target points for the calibration of a base point in a plane: what is the smallest sqrt(Q11 + Q22)?
+"""Layout of three target points for the calibration of a base point in a plane: the smallest sqrt(Q11 + Q22).
 
 Readings of unit u on targets in the unit directions e_i from the base point give its two coordinates by any linear
 estimator B with B A = 1, where A has the rows e_i; the sum of the two variances is the sum of squares of B. Best
@@ -28,6 +28,7 @@ from problems.base_point_lines import Lines
 Array = NDArray[np.float64]
 accepts = ("base_point_layout", "base-point-layout")
 KNOWN, FREE, TIED = AbsoluteRange(), FreeStart(), TiedStart()      # of the length at the zero of the reading
+TARGETS = 3
 STRAIGHT = Ipopt()                    # with exact second derivatives: the conditions of a layout are curved
 
 
@@ -101,29 +102,27 @@ def unbiased_from_free_start(estimator: Any, angle: Any) -> Any:
     return ca.vertcat(unbiased(estimator, angle), ca.sum2(rows))
 
 
-def declare(targets: int = 3, zero: base_point.Zero = KNOWN, begin: ArrayLike | None = None) -> Problem:
-    """The layout of n targets with the smallest sqrt(Q11 + Q22), the first direction held as in equation 5.
+def declare(zero: base_point.Zero = KNOWN, begin: ArrayLike | None = None) -> Problem:
+    """The layout of three targets with the smallest sqrt(Q11 + Q22), the first direction held as in equation 5.
 
-    targets: n; zero: AbsoluteRange() where the length at the zero of the reading is known, FreeStart() where it is not.
-    begin: (n,) [rad] start angles, spread unevenly over the circle where None. Quantity `sqrt_q` is the result. The
-    conditions are curved: Ipopt() goes straight to the minimum, GaussNewton() ever more slowly.
-    Raises InputError for fewer targets than unknowns, and for a start that is tied to a point of the plane.
+    zero: AbsoluteRange() where the length at the zero of the reading is known, FreeStart() where it is not.
+    begin: (3,) [rad] start angles, spread unevenly over the circle where None. Quantity `sqrt_q` is the result. The
+    conditions are curved: Ipopt() goes straight to the minimum, GaussNewton() ever more slowly. (Of more than three
+    targets whole families share the smallest value, evenly spread ones among them: there is nothing to search.)
+    Raises InputError for another number of angles, and for a start that is tied to a point of the plane.
     """
     if isinstance(zero, TiedStart):
         raise InputError("the best layout is declared for a known or a free length at the zero of the reading; with a "
                          "length tied to a zero point compare given layouts by `uncertainties`")
     free = isinstance(zero, FreeStart)
-    if targets < (3 if free else 2):
-        raise InputError(f"{targets} targets cannot determine {3 if free else 2} unknowns; plan at least as many")
-    uneven = np.cumsum(np.linspace(0.8, 1.2, targets)) * 2 * np.pi / targets
-    begin = uneven if begin is None else np.asarray(begin, float)
-    if begin.shape != (targets,):
-        raise InputError(f"{begin.size} start angles were given for {targets} targets; give one for each")
-    angle = Unknown("angle", begin - begin[0], "deg", parts=[str(k + 1) for k in range(targets)])
-    rows = np.column_stack([np.array(lines_of_sight(angle.ambient[0])), *([np.ones(targets)] if free else [])])
+    begin = np.array([0.0, 2.5, 5.0]) if begin is None else np.asarray(begin, float)
+    if begin.shape != (TARGETS,):
+        raise InputError(f"{begin.size} start angles were given for {TARGETS} targets; give one for each")
+    angle = Unknown("angle", begin - begin[0], "deg", parts=[str(k + 1) for k in range(TARGETS)])
+    rows = np.column_stack([np.array(lines_of_sight(angle.ambient[0])), *([np.ones(TARGETS)] if free else [])])
     estimator = Unknown("estimator", np.linalg.pinv(rows)[:2].T.ravel(),
-                        parts=[f"{axis}{k + 1}" for k in range(targets) for axis in "xy"])
-    variance = Observations(nothing, estimator, readings=np.zeros((1, 2 * targets)), u=1.0, group="variance")
+                        parts=[f"{axis}{k + 1}" for k in range(TARGETS) for axis in "xy"])
+    variance = Observations(nothing, estimator, readings=np.zeros((1, 2 * TARGETS)), u=1.0, group="variance")
     condition = Constraint("unbiased", unbiased_from_free_start if free else unbiased, estimator, angle,
                            tolerance=1e-10)
     return Problem([variance], [condition], [Quantity("sqrt_q", length_of, estimator)], held=[angle.part("1")],
@@ -132,7 +131,7 @@ def declare(targets: int = 3, zero: base_point.Zero = KNOWN, begin: ArrayLike | 
 
 @dataclass(frozen=True)
 class BestLayout:
-    """The smallest sqrt(Q11 + Q22) found, a bound below which no layout lies, and the angles (n,) [rad] that have it.
+    """The smallest sqrt(Q11 + Q22) found, a bound below which no layout lies, and the angles (3,) [rad] that have it.
 
     found: how many of the starts led there.
     """
@@ -149,19 +148,26 @@ class BestLayout:
         return self.value / self.bound - 1.0
 
 
-def best_layout(targets: int, zero: base_point.Zero, starts: int, seed: int, method: Method = STRAIGHT) -> BestLayout:
-    """Search the best layout from random starts.
+def bound(targets: int) -> float:
+    """A value that sqrt(Q11 + Q22) of n targets cannot fall below: 2/sqrt(n).
 
-    targets, zero: as for `declare`; starts: how many; seed: of the start angles; method: of the solver.
-    Return: the best with its bound: the rows of A have length 1, so the eigenvalues a, b of A'A have a + b = n, and
-    Q11 + Q22 = 1/a + 1/b >= 4/(a + b); an unknown length only adds to Q.
+    The rows of A have length 1, so the eigenvalues a, b of A'A have a + b = n, and Q11 + Q22 = 1/a + 1/b >= 4/(a + b);
+    an unknown length at the zero only adds to Q.
+    """
+    return float(np.sqrt(4.0 / targets))
+
+
+def best_layout(zero: base_point.Zero, starts: int, seed: int, method: Method = STRAIGHT) -> BestLayout:
+    """Search the best layout of three targets from random starts.
+
+    zero: as for `declare`; starts: how many; seed: of the start angles; method: of the solver.
     Raises CalibrationError where no start leads to a minimum.
     """
     generator = np.random.default_rng(seed)
     results = []
     for _ in range(starts):
         try:
-            estimate = solve(declare(targets, zero, generator.uniform(0.0, 2 * np.pi, targets)), method)
+            estimate = solve(declare(zero, generator.uniform(0.0, 2 * np.pi, TARGETS)), method)
         except RankDefect:                               # a start whose targets fall together
             continue
         if estimate.certificate.passed:
@@ -169,7 +175,7 @@ def best_layout(targets: int, zero: base_point.Zero, starts: int, seed: int, met
     if not results:
         raise CalibrationError(f"none of {starts} starts led to a minimum; try more starts or another seed")
     value, angles = min(results, key=lambda one: one[0])
-    return BestLayout(value, float(np.sqrt(4.0 / targets)), angles, sum(v < value + 1e-9 for v, _ in results), starts)
+    return BestLayout(value, bound(TARGETS), angles, sum(v < value + 1e-9 for v, _ in results), starts)
 
 
 # --- jobs and an example ----------------------------------------------------------------------------------------------
@@ -181,25 +187,23 @@ def effects() -> tuple[Effect, ...]:
 
 
 def from_job(job: Job) -> Problem:
-    """The best layout; options: targets (a whole number), start_reading ("known" or "free").
+    """The best layout of three targets; option start_reading ("known" or "free").
 
     Raises InputError naming the key.
     """
     zeros = {"known": KNOWN, "free": FREE}
-    return declare(job.options.whole("targets", 3), zeros[job.options.text("start_reading", "known", tuple(zeros))])
+    return declare(zeros[job.options.text("start_reading", "known", tuple(zeros))])
 
 
 def example(seed: int) -> Problem:
-    """Four targets and an unknown length at the zero; seed: of the start angles."""
-    begin = np.cumsum(np.random.default_rng(seed).uniform(0.8, 1.2, 4)) * 2 * np.pi / 4.4
-    return declare(4, FREE, begin)
+    """Three targets and an unknown length at the zero; seed: of the start angles."""
+    return declare(FREE, np.array([0.0, 2.1, 4.2]) + np.random.default_rng(seed).uniform(-0.4, 0.4, 3))
 
 
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job {file name: text}: the layout of three targets; to be solved with --method ipopt."""
     return {"job.toml": """problem = "problems.base_point_layout"
 [options]
-targets = 3
 start_reading = "free"
 [report]
 quantities = ["sqrt_q", "angle"]

@@ -200,7 +200,7 @@ def _simulation_items(printed: dict[str, Printed]) -> list[Item]:
 
 def _layout_items(printed: dict[str, Printed]) -> list[Item]:
     turn = {name: base_point_layout.mirror_rotation(travel(), foot, OFF) / degree for name, foot in FEET.items()}
-    best, best_free = (base_point_layout.best_layout(3, zero, starts=4, seed=1) for zero in (KNOWN, FREE))
+    best, best_free = (base_point_layout.best_layout(zero, starts=4, seed=1) for zero in (KNOWN, FREE))
     theirs = base_point_layout.root_of_trace(-_directions(0.0, 60.0, -60.0), (0.0, 0.0), FREE)
     return [
         Item("theta_sym", "rotation of the tracking mirror, symmetric", "deg", printed["theta_sym"], value=turn["sym"],
