@@ -16,6 +16,14 @@ CHUNK = 4096    # rows at a time: the work vectors of a few hundred instructions
 _erf = np.vectorize(math.erf, otypes=[float])
 
 
+def _remainder(x: Any, y: Any) -> Any:
+    """x less the nearest whole multiple of y, exact as in C: `fmod` is, and folding it back by y is."""
+    part, size = np.fmod(x, y), np.abs(y)
+    odd = np.abs(np.fmod(x, 2.0 * y)) >= size
+    beyond = (2.0 * np.abs(part) > size) | ((2.0 * np.abs(part) == size) & odd)
+    return np.where(beyond, part - np.copysign(y, part), part)
+
+
 def _copysign_sign(x: Any) -> Any:
     return np.sign(x)
 
@@ -32,7 +40,7 @@ _BINARY: dict[str, Callable[..., Any]] = {
     "LT": lambda x, y: np.less(x, y) * 1.0, "LE": lambda x, y: np.less_equal(x, y) * 1.0,
     "EQ": lambda x, y: np.equal(x, y) * 1.0, "NE": lambda x, y: np.not_equal(x, y) * 1.0,
     "AND": lambda x, y: np.logical_and(x, y) * 1.0, "OR": lambda x, y: np.logical_or(x, y) * 1.0,
-    "FMOD": np.fmod, "REMAINDER": lambda x, y: x - y * np.rint(x / y), "COPYSIGN": np.copysign,
+    "FMOD": np.fmod, "REMAINDER": _remainder, "COPYSIGN": np.copysign,
     "IF_ELSE_ZERO": lambda condition, x: np.where(condition, x, 0.0), "FMIN": np.fmin, "FMAX": np.fmax,
     "ATAN2": np.arctan2, "HYPOT": np.hypot,
 }
