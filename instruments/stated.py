@@ -104,7 +104,7 @@ def of_mean(u_single: ArrayLike, count: ArrayLike) -> np.ndarray:
     Raises InputError where count is below 1. Source: JCGM 100:2008, 4.2.3 and 4.2.4 (pooled estimate).
     """
     if np.any(np.asarray(count) < 1):
-        raise InputError(f"The mean of {count} readings does not exist; the count must be 1 or more.")
+        raise InputError(f"The mean of {np.asarray(count)} readings does not exist; the count must be 1 or more.")
     return _not_negative(u_single, "The repeatability") / np.sqrt(count)
 
 

@@ -112,3 +112,44 @@ def test_every_effect_of_an_instrument_is_recovered_where_the_data_see_it(instru
 def test_the_example_attaches_every_effect_of_the_module(instrument):
     attached = {(effect.name, effect.slot) for effect in instrument.example(1).effects}
     assert {(effect.name, effect.slot) for effect in instrument.effects()} <= attached
+
+
+# The vocabulary of the discrepancy cases that belongs to instruments: effects, channels, and parameters with their units.
+# A cosine error is reported there as beta; its parameter is kappa = beta^2/2, because beta has no first-order effect.
+VOCABULARY = [
+    ("level", "drift", ("reading",), {"rate": "arcsec/h"}), ("level", "thermal", ("reading",), {"coef": "arcsec/K"}),
+    ("level", "hysteresis", ("reading",), {"width": "arcsec"}), ("level", "gain", ("reading",), {"k": "1"}),
+    ("level", "step", ("reading@2",), {"offset": "arcsec"}),
+    ("theodolite", "vertical_index", ("V",), {"i": "arcsec"}), ("theodolite", "collimation", ("H",), {"c": "arcsec"}),
+    ("theodolite", "trunnion_tilt", ("H",), {"t": "arcsec"}),
+    ("theodolite", "drift", ("H", "V"), {"rate": "arcsec/h"}), ("theodolite", "thermal", ("H", "V"), {"coef": "arcsec/K"}),
+    ("theodolite", "hysteresis", ("H", "V"), {"width": "arcsec"}),
+    ("theodolite", "step", ("H@2", "V@2"), {"offset": "arcsec"}),
+    ("encoder", "encoder_ecc", ("theta",), {"c": "arcsec", "s": "arcsec"}),
+    ("encoder", "encoder_2nd", ("theta",), {"c": "arcsec", "s": "arcsec"}),
+    ("encoder", "angle_scale", ("theta",), {"k": "ppm"}), ("encoder", "hysteresis", ("theta",), {"width": "arcsec"}),
+    ("laser_tracker", "drift", ("azimuth", "zenith"), {"rate": "arcsec/h"}),
+    ("laser_tracker", "drift", ("range", "tracker_x", "tracker_y", "tracker_z"), {"rate": "um/h"}),
+    ("laser_tracker", "thermal", ("range",), {"coef": "um/K"}), ("laser_tracker", "range_offset", ("range",), {"d": "um"}),
+    ("laser_tracker", "scale", ("range",), {"k": "ppm"}), ("laser_tracker", "transit_tilt", ("azimuth",), {"t": "arcsec"}),
+    ("laser_tracker", "step", ("azimuth@2", "zenith@2"), {"offset": "arcsec"}),
+    ("laser_tracker", "step", ("range@2", "tracker_x@2", "tracker_y@2", "tracker_z@2"), {"offset": "um"}),
+    ("interferometer", "scale", ("d",), {"k": "ppm"}), ("interferometer", "drift", ("d",), {"rate": "um/h"}),
+    ("interferometer", "thermal", ("d",), {"coef": "um/K"}), ("interferometer", "step", ("d@2",), {"offset": "um"}),
+    ("interferometer", "time_sync", ("d",), {"tau": "ms"}), ("interferometer", "cyclic", ("d",), {"c": "nm", "s": "nm"}),
+    ("coordinate_machine", "scale", ("x", "y", "z"), {"k": "ppm"}),
+    ("coordinate_machine", "cosine", ("x", "y", "z"), {"kappa": "1"}),
+    ("coordinate_machine", "pitch_abbe", ("x", "y"), {"kappa": "urad/m"}),
+    ("coordinate_machine", "squareness", ("xy", "yz", "zx"), {"eps": "urad"}),
+    ("coordinate_machine", "straightness", ("y(x)", "z(x)", "x(y)", "z(y)", "x(z)", "y(z)"), {"w": "um"}),
+    ("coordinate_machine", "hysteresis", ("x", "y", "z"), {"width": "um"}),
+    ("coordinate_machine", "zero_offset", ("x", "y"), {"o": "um"}),
+]
+
+
+@pytest.mark.parametrize("module, name, channels, parameters", VOCABULARY)
+def test_the_instruments_speak_the_vocabulary_of_the_discrepancy_cases(module, name, channels, parameters):
+    problem = importlib.import_module(f"instruments.{module}").example(1)
+    for channel in channels:
+        effect = problem.attached_effect(f"{name} ({channel})").effect
+        assert {p.name: p.unit for p in effect.parameters} == parameters
