@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from functools import cache
 from types import ModuleType
 
 import numpy as np
@@ -18,6 +19,12 @@ FOUND = [importlib.import_module(f"instruments.{found.name}") for found in pkgut
 INSTRUMENTS = [module for module in FOUND if hasattr(module, "example")]
 NAMES = [module.__name__.rpartition(".")[2] for module in INSTRUMENTS]
 each_instrument = pytest.mark.parametrize("instrument", INSTRUMENTS, ids=NAMES)
+
+
+@cache
+def first_example(instrument: ModuleType) -> Problem:
+    """The example of an instrument with seed 1; problems are frozen, so tests may share it."""
+    return instrument.example(1)
 
 
 def plausible_size(effect: Effect) -> np.ndarray:
@@ -91,7 +98,7 @@ def test_the_example_of_every_instrument_is_solved_and_fits_its_noise(instrument
 
 @each_instrument
 def test_every_effect_is_described_and_acts_to_first_order_from_exactly_nothing(instrument):
-    check_effects(instrument.example(1))
+    check_effects(first_example(instrument))
 
 
 # What the free unknowns of the examples hide, and why: the answer "cannot be known from these data" is the right one.
@@ -105,12 +112,12 @@ HIDDEN = {
 @each_instrument
 def test_every_effect_of_an_instrument_is_recovered_where_the_data_see_it(instrument):
     name = instrument.__name__.rpartition(".")[2]
-    assert set(check_recovery(instrument.example(1), 1)) == HIDDEN.get(name, set())
+    assert set(check_recovery(first_example(instrument), 1)) == HIDDEN.get(name, set())
 
 
 @each_instrument
 def test_the_example_attaches_every_effect_of_the_module(instrument):
-    attached = {(effect.name, effect.slot) for effect in instrument.example(1).effects}
+    attached = {(effect.name, effect.slot) for effect in first_example(instrument).effects}
     assert {(effect.name, effect.slot) for effect in instrument.effects()} <= attached
 
 
@@ -122,21 +129,26 @@ VOCABULARY = [
     ("level", "step", ("reading@2",), {"offset": "arcsec"}),
     ("theodolite", "vertical_index", ("V",), {"i": "arcsec"}), ("theodolite", "collimation", ("H",), {"c": "arcsec"}),
     ("theodolite", "trunnion_tilt", ("H",), {"t": "arcsec"}),
-    ("theodolite", "drift", ("H", "V"), {"rate": "arcsec/h"}), ("theodolite", "thermal", ("H", "V"), {"coef": "arcsec/K"}),
+    ("theodolite", "drift", ("H", "V"), {"rate": "arcsec/h"}),
+    ("theodolite", "thermal", ("H", "V"), {"coef": "arcsec/K"}),
     ("theodolite", "hysteresis", ("H", "V"), {"width": "arcsec"}),
     ("theodolite", "step", ("H@2", "V@2"), {"offset": "arcsec"}),
     ("encoder", "encoder_ecc", ("theta",), {"c": "arcsec", "s": "arcsec"}),
     ("encoder", "encoder_2nd", ("theta",), {"c": "arcsec", "s": "arcsec"}),
-    ("encoder", "angle_scale", ("theta",), {"k": "ppm"}), ("encoder", "hysteresis", ("theta",), {"width": "arcsec"}),
+    ("encoder", "angle_scale", ("theta",), {"k": "ppm"}),
+    ("encoder", "hysteresis", ("theta",), {"width": "arcsec"}),
     ("laser_tracker", "drift", ("azimuth", "zenith"), {"rate": "arcsec/h"}),
     ("laser_tracker", "drift", ("range", "tracker_x", "tracker_y", "tracker_z"), {"rate": "um/h"}),
-    ("laser_tracker", "thermal", ("range",), {"coef": "um/K"}), ("laser_tracker", "range_offset", ("range",), {"d": "um"}),
-    ("laser_tracker", "scale", ("range",), {"k": "ppm"}), ("laser_tracker", "transit_tilt", ("azimuth",), {"t": "arcsec"}),
+    ("laser_tracker", "thermal", ("range",), {"coef": "um/K"}),
+    ("laser_tracker", "range_offset", ("range",), {"d": "um"}),
+    ("laser_tracker", "scale", ("range",), {"k": "ppm"}),
+    ("laser_tracker", "transit_tilt", ("azimuth",), {"t": "arcsec"}),
     ("laser_tracker", "step", ("azimuth@2", "zenith@2"), {"offset": "arcsec"}),
     ("laser_tracker", "step", ("range@2", "tracker_x@2", "tracker_y@2", "tracker_z@2"), {"offset": "um"}),
     ("interferometer", "scale", ("d",), {"k": "ppm"}), ("interferometer", "drift", ("d",), {"rate": "um/h"}),
     ("interferometer", "thermal", ("d",), {"coef": "um/K"}), ("interferometer", "step", ("d@2",), {"offset": "um"}),
-    ("interferometer", "time_sync", ("d",), {"tau": "ms"}), ("interferometer", "cyclic", ("d",), {"c": "nm", "s": "nm"}),
+    ("interferometer", "time_sync", ("d",), {"tau": "ms"}),
+    ("interferometer", "cyclic", ("d",), {"c": "nm", "s": "nm"}),
     ("coordinate_machine", "scale", ("x", "y", "z"), {"k": "ppm"}),
     ("coordinate_machine", "cosine", ("x", "y", "z"), {"kappa": "1"}),
     ("coordinate_machine", "pitch_abbe", ("x", "y"), {"kappa": "urad/m"}),
@@ -149,7 +161,7 @@ VOCABULARY = [
 
 @pytest.mark.parametrize("module, name, channels, parameters", VOCABULARY)
 def test_the_instruments_speak_the_vocabulary_of_the_discrepancy_cases(module, name, channels, parameters):
-    problem = importlib.import_module(f"instruments.{module}").example(1)
+    problem = first_example(importlib.import_module(f"instruments.{module}"))
     for channel in channels:
         effect = problem.attached_effect(f"{name} ({channel})").effect
         assert {p.name: p.unit for p in effect.parameters} == parameters
