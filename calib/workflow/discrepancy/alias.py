@@ -1,0 +1,90 @@
+"""Aliases: effects that these readings cannot tell apart, effects that hide in the unknowns, and what would tell them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.analyse.score import Candidate, Field, orthonormal
+from calib.blocks import Array
+from calib.linearisation import Linearisation
+
+RAISES = 4.0          # expected rise of the sum of squares up to which another effect is an alias
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """An effect that the unknowns absorb: what it could add to the uncertainty of a result if it were of usual size (SI)."""
+
+    effect: str
+    quantity: str
+    u_added: float
+    unit: str
+
+
+def aliases(field: Field, chosen: Sequence[int], values: dict[int, Array], columns: Sequence[Array]) -> dict[int, list[int]]:
+    """For each chosen candidate the others that could stand in its place.
+
+    field: nominal field; chosen: places of the chosen candidates; values: their parameters (k,) SI; columns: of all
+    candidates (n, k) over all whitened rows. A stand-in raises the sum of squares by an expected 4 or less.
+    """
+    found: dict[int, list[int]] = {}
+    for one in chosen:
+        others = [columns[c] for c in chosen if c != one]
+        frame = np.zeros((len(field.residual), 0))
+        if others:
+            together = np.concatenate(others, axis=1)
+            frame = orthonormal(field.outside(together), np.linalg.norm(together, axis=0))
+        bare = field.taking(frame)
+        signal = bare.outside(columns[one] @ values[one])
+        found[one] = []
+        for other in range(len(columns)):
+            if other in chosen or not field.frames[other].shape[1]:
+                continue
+            stand_in = orthonormal(bare.outside(columns[other]), field.sizes[other])
+            left = signal - stand_in @ (stand_in.T @ signal)
+            if float(left @ left) <= RAISES:
+                found[one].append(other)
+    return found
+
+
+def hidden(fit: Linearisation, field: Field, candidates: Sequence[Candidate]) -> list[Hidden]:
+    """Candidates that no reading shows, with what one of usual size would do to the results."""
+    unseen = [c for c, frame in zip(candidates, field.frames, strict=True) if not frame.shape[1]]
+    if not unseen or not fit.results:
+        return []
+    functions = fit.functions()
+    derivatives, _ = fit.rows
+    found = []
+    for one in unseen:
+        columns = fit.held_columns(one.columns)
+        if not np.any(columns):
+            continue
+        moved = -fit.factor.solve(np.asarray(derivatives.T @ columns))
+        change = functions.derivatives[:, list(one.columns)] + fit.free_part(functions.derivatives) @ moved
+        usual = np.array([np.sqrt(p.plausible[0] * p.plausible[1]) if p.plausible[0] > 0 else 0.5 * p.plausible[1]
+                          for p in one.effect.parameters])
+        added = np.sqrt(np.sum((change * usual) ** 2, axis=1))
+        u = np.sqrt(np.diag(fit.factor.covariance(fit.free_part(functions.derivatives))))
+        found += [Hidden(one.label, name, float(a), unit)
+                  for name, unit, a, own in zip(functions.labels, functions.units, added, u, strict=True) if a > 1e-3 * own]
+    return found
+
+
+def what_would_tell(one: Candidate, others: Sequence[Candidate]) -> str:
+    """A measurement that tells an effect from its aliases, in a sentence."""
+    mine = set(one.effect.inputs)
+    advice = []
+    for other in others:
+        theirs = set(other.effect.inputs)
+        only = sorted((mine - theirs) or (theirs - mine))
+        if only:
+            rest = sorted((theirs if mine - theirs else mine) - set(only))
+            advice.append(f"vary {' and '.join(w.replace('_', ' ') for w in only)}"
+                          + (f" independently of {' and '.join(w.replace('_', ' ') for w in rest)}" if rest else "")
+                          + f" to tell {one.label} from {other.label}")
+        else:
+            advice.append(f"read more positions over a wider range to tell {one.label} from {other.label}")
+    return "; ".join(dict.fromkeys(advice))
