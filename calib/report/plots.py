@@ -18,6 +18,9 @@ SERIES = ("#050501", "#050502", "#050503", "#050504")
 _VARIABLES = {
     INK: "var(--ink)", FAINT: "var(--faint)", ACCENT: "var(--accent)", WARNING: "var(--warning)",
     **{colour: f"var(--series-{number})" for number, colour in enumerate(SERIES, start=1)},
+    # Figures of problems are drawn in Matplotlib's own colours; they too follow the page.
+    "#000000": "var(--ink)", "#ffffff": "var(--paper)", "#1f77b4": "var(--series-1)", "#ff7f0e": "var(--series-2)",
+    "#2ca02c": "var(--series-3)", "#9467bd": "var(--series-4)", "#d62728": "var(--warning)",
 }
 DRAWN = 3000       # points of one drawing; of more, every k-th is drawn and the caption says so
 WIDTH = 7.2        # inches; the page scales the drawing to its column

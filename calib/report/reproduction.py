@@ -9,10 +9,10 @@ from typing import Any
 from calib import files
 from calib.report import numbers
 from calib.report.provenance import Provenance
-from calib.report.template import Cell, Drawing, Grid, render
+from calib.report.template import Cell, Drawing, render
 from calib.workflow.reproduce import AGREES, DIFFERS, Item, Reproduction
 
-HEADER = ("key", "quantity", "unit", "printed", "computed", "u", "joint", "u(joint)", "verdict", "why")
+HEADER = ("number", "printed", "computed", "u", "joint", "u", "unit", "verdict")
 STYLES = {AGREES: "good", DIFFERS: "warning"}
 
 
@@ -52,19 +52,22 @@ def _paper(found: Reproduction) -> dict[str, Any]:
         drawings.append(Drawing.of(drawn, f"{found.name} {title}", title))
     return {
         "name": found.name, "counts": found.summary(), "drawings": drawings,
-        "all": Grid(HEADER, [_row(item) for item in found.items]),
-        "others": Grid(HEADER, [_row(item) for item in found.items if item.verdict != AGREES]),
+        "header": HEADER, "all": [_row(item) for item in found.items],
+        "others": [_row(item) for item in found.items if item.verdict != AGREES and item.printed is not None],
     }
 
 
-def _row(item: Item) -> list[str | Cell]:
+def _row(item: Item) -> dict[str, Any]:
+    """One number: the cells of its line, and the quantity and the reason below them."""
     printed = item.printed.text if item.printed is not None else item.printed_text or "–"
     value = "–" if item.value is None else _rounded(item)
     joint, joint_u = ("", "") if item.joint is None else numbers.with_uncertainty(item.joint, item.joint_u)
     u = "" if item.u is None else numbers.with_uncertainty(0.0, item.u)[1]
     unit = "" if item.unit == "1" else item.unit
-    return [Cell(item.key, "text"), Cell(item.quantity, "prose"), unit, printed, value, u, joint, joint_u,
-            Cell(item.verdict, STYLES.get(item.verdict, "quiet")), Cell(item.why, "prose")]
+    stated = printed if item.printed is not None and item.printed.number is not None else Cell(printed, "prose")
+    cells = [item.key, stated, value, u, joint, joint_u, Cell(unit, "prose"),
+             Cell(item.verdict, STYLES.get(item.verdict, "quiet"))]
+    return {"cells": cells, "quantity": item.quantity, "why": item.why}
 
 
 def _rounded(item: Item) -> str:
