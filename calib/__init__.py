@@ -14,11 +14,13 @@ from calib.solve.gauss_newton import GaussNewton
 from calib.solve.ipopt import ExactHessian, GaussNewtonHessian, Ipopt
 from calib.uncertainty import Gaussian
 from calib.unknown import Direction, Pose, Rotation, Unknown
+from calib.workflow.discrepancy.explain import Explanation, explain
 from calib.workflow.montecarlo import MonteCarlo, montecarlo
 
 __all__ = [
-    "Budget", "Constraint", "Covariance", "Direction", "Effect", "Estimability", "Estimate", "ExactHessian", "Gaussian",
+    "Budget", "Constraint", "Covariance", "Direction", "Effect", "Estimability", "Estimate", "ExactHessian", "Explanation",
+    "Gaussian",
     "GaussNewton", "GaussNewtonHessian", "Ipopt", "Linearisation", "MonteCarlo", "Observations", "Parameter", "Pose", "Problem", "Quantity", "Reliability", "Rotation",
-    "Shared", "Unknown", "VarianceComponents", "budget", "covariance", "direct", "estimability", "hands_slots_to",
+    "Shared", "Unknown", "VarianceComponents", "budget", "covariance", "direct", "estimability", "explain", "hands_slots_to",
     "linearise", "montecarlo", "predict", "prior", "reliability", "simulate", "solve", "variance_components",
 ]

@@ -259,11 +259,25 @@ class _Serial(Gaussian):
 @dataclass(frozen=True)
 class _Depending(Gaussian):
     function: Callable[..., ArrayLike]
+    keep: NDArray[np.bool_] | None = None      # which of the rows that the function was written for are still there
+
+    def kept(self, keep: NDArray[np.bool_]) -> Gaussian:
+        if self.keep is None:
+            return _Depending(self.function, keep)
+        whole = self.keep.copy()
+        whole[self.keep] = keep
+        return _Depending(self.function, whole)
 
     @property
     def needs(self) -> tuple[str, ...]:
         return tuple(inspect.signature(self.function).parameters)
 
     def weighting(self, n, dim, where, quantities=None):  # type: ignore[no-untyped-def]
-        u = np.asarray(self.function(*(quantities(name) for name in self.needs)), float)   # type: ignore[misc]
+        arrays = [quantities(name) for name in self.needs]   # type: ignore[misc]
+        if self.keep is not None:
+            place = np.maximum(np.cumsum(self.keep) - 1, 0)
+            arrays = [a[place] for a in arrays]
+        u = np.asarray(self.function(*arrays), float)
+        if self.keep is not None and u.ndim and len(u) == len(self.keep):
+            u = u[self.keep]
         return _Independent(u.reshape(n, -1) if u.ndim else u).weighting(n, dim, where)
