@@ -34,6 +34,7 @@ from calib.errors import InputError
 from calib.geometry import norm
 from calib.job import Job
 from calib.units import mm, nm, um
+from calib.unknown import Selection
 from instruments import coordinate_machine, interferometer
 from problems import algebraic_base_point, base_point_lines
 from problems.base_point_lines import Lines
@@ -150,7 +151,9 @@ def declare(lines: Lines, zero: Zero = FreeStart(), coordinates: Coordinates = E
     names = np.char.strip(np.char.add(np.char.add(lines.tracker.astype(str), " "), lines.zeroing.astype(str)))
     zeroings, zeroing = np.unique(names, return_inverse=True)
     base, lengths = start(lines, tracker, zeroing, sense, begin, isinstance(zero, AbsoluteRange))
-    several = len(trackers) > 1
+    several, of_zeroing = len(trackers) > 1, np.array([tracker[zeroing == k][0] for k in range(len(zeroings))])
+    if isinstance(zero, TiedStart):
+        lengths = np.linalg.norm(np.array(zero.zero_point) - base[of_zeroing], axis=1)
     base_point = Unknown("base_point", base if several else base[0], "mm", ("x", "y", "z"),
                          trackers if several else None)
     start_length = Unknown("start_length", lengths[:, None] if len(zeroings) > 1 else lengths[0], "mm",
@@ -171,19 +174,23 @@ def declare(lines: Lines, zero: Zero = FreeStart(), coordinates: Coordinates = E
             guide[i], lines.along[i], lines.velocity[i], np.full(len(i), sense), u=_uncertainty(lines, coordinates, i),
             readings=None if lines.readings is None else lines.readings[i], group=str(name), unit="mm",
             rows=lines.rows[i], covariates=lines.covariates_of(i)))
-    of_zeroing = base_point[np.array([tracker[zeroing == k][0] for k in range(len(zeroings))])]
-    keys = zeroings if len(zeroings) > 1 else None
-    quantities = [Quantity("dead_path", coordinate, start_length.each, unit="mm", keys=keys)]
-    constraints, held = [], ()
-    if isinstance(zero, TiedStart):
-        constraints.append(Constraint("zeroed at the zero point", excess_at_zero, of_zeroing, start_length.each,
-                                      Shared(zero.zero_point), tolerance=1e-3 * nm, unit="um"))
-    elif isinstance(zero, AbsoluteRange):
-        held = (start_length,)
-    elif zero.zero_point is not None:
-        quantities.append(Quantity("start_reading", reading_at, of_zeroing, start_length.each, Shared(zero.zero_point),
-                                   Shared(sense), unit="um", keys=keys))
+    constraints, quantities = _at_zero(zero, base_point[of_zeroing], start_length, sense)
+    held = [start_length] if isinstance(zero, AbsoluteRange) else []
     return Problem(observations, constraints, quantities, held=held, name="base point")
+
+
+def _at_zero(zero: Zero, base: Selection, start_length: Unknown,
+             sense: float) -> tuple[list[Constraint], list[Quantity]]:
+    """The condition that a zero point sets, and `dead_path` and `start_reading` of each zeroing."""
+    keys = start_length.keys if start_length.named_keys else None
+    quantities = [Quantity("dead_path", coordinate, start_length.each, unit="mm", keys=keys)]
+    if isinstance(zero, TiedStart):
+        return [Constraint("zeroed at the zero point", excess_at_zero, base, start_length.each, Shared(zero.zero_point),
+                           tolerance=1e-3 * nm, unit="um")], quantities
+    if isinstance(zero, FreeStart) and zero.zero_point is not None:
+        quantities.append(Quantity("start_reading", reading_at, base, start_length.each, Shared(zero.zero_point),
+                                   Shared(sense), unit="um", keys=keys))
+    return [], quantities
 
 
 def _uncertainty(lines: Lines, coordinates: Coordinates, rows: NDArray) -> Any:

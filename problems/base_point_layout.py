@@ -206,5 +206,5 @@ def example_job(seed: int) -> dict[str, str]:
 [options]
 start_reading = "free"
 [report]
-quantities = ["sqrt_q", "angle"]
+quantities = ["sqrt_q"]
 """}

@@ -85,9 +85,11 @@ def test_the_held_coordinates_fix_the_frame_whatever_way_the_trackers_stand():
     plan = multilateration.declare(Ranges.every(tuple(turned), tuple(targets), 0.5 * um), turned, targets)
     assert calib.estimability(calib.linearise(plan)).defect == 0
     straight = multilateration.declare(Ranges.every(tuple(TRACKERS), tuple(cloud(14)), 0.5 * um), TRACKERS, cloud(14))
-    apart = [float(calib.covariance(calib.linearise(p.with_quantities(calib.Quantity(
-        "apart", multilateration.between, p.select("target").unknown[0], p.select("target").unknown[9]))), "apart").u[0])
-        for p in (plan, straight)]
+    apart = []
+    for one in (plan, straight):
+        target = one.select("target").unknown
+        length = calib.Quantity("apart", multilateration.between, target[0], target[9])
+        apart.append(calib.covariance(calib.linearise(one.with_quantities(length)), length).u[0])
     assert apart[0] == pytest.approx(apart[1], rel=1e-6)           # a length does not depend on the frame
 
 
@@ -177,7 +179,8 @@ def job_in(folder, known=False):
     files = dict(multilateration.example_job(3))
     if known:
         header, *rows = files["targets.csv"].split("\n")[:-1]
-        files["targets.csv"] = "\n".join([header + ",known", *(f"{row},{int(k < 8)}" for k, row in enumerate(rows)), ""])
+        marked = [f"{row},{int(k < 8)}" for k, row in enumerate(rows)]
+        files["targets.csv"] = "\n".join([header + ",known", *marked, ""])
         files["job.toml"] += '[options]\nu_known = "1 mm"\n'
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
