@@ -1,7 +1,7 @@
 """Refractive index of air after Ciddor (1996), and what an error of the air data does to an optical length.
 
-An instrument that counts wavelengths shows `optical path / index used`; a length in air of index n is shown as L
-n/n_used.
+An instrument that counts wavelengths shows the optical path divided by the index used: a length L in air of index n is
+shown as L n/n_used. A distance meter with modulated light needs the group index, which is not here.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 from casadi import exp
+
+from . import stated
 
 SOURCE = "Ciddor, Appl. Opt. 35 (1996) 1566-1573, refractive index of air: equations for the visible and near infrared"
 
@@ -83,3 +85,18 @@ def moist_air_index(wavelength: Any, temperature: Any, pressure: Any, relative_h
     vapour_pressure = relative_humidity * saturation_pressure(temperature)
     return phase_index(wavelength, temperature, pressure, water_fraction(temperature, pressure, vapour_pressure),
                        carbon_dioxide)
+
+
+def stated_uncertainty(u_temperature: float, u_pressure: float, u_humidity: float, u_carbon_dioxide: float,
+                       u_equation: float = 1e-8) -> stated.Lines:
+    """Standard uncertainty of the phase index, that is of an optical length in parts of itself, near 20 degC and 1 atm.
+
+    u_temperature [K], u_pressure [Pa], u_humidity: of the relative humidity, 0 to 1 [1], u_carbon_dioxide: of the molar
+    fraction [1]; u_equation: of the equation itself [1]. The error is common to all readings of one air: give it as a
+    prior on the effect `scale` rather than to each reading.
+    Returns one line each [1]. Source: derivatives of Ciddor's index; for the equation the order of its agreement with
+    measurement in laboratory air, Boensch and Potulski, Metrologia 35 (1998) 133-139.
+    """
+    return stated.Lines({"equation": u_equation, "temperature": abs(PER_KELVIN) * u_temperature,
+                         "pressure": PER_PASCAL * u_pressure, "humidity": abs(PER_HUMIDITY) * u_humidity,
+                         "carbon dioxide": PER_CARBON_DIOXIDE * u_carbon_dioxide})

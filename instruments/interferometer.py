@@ -122,7 +122,7 @@ def effects(blocks: Sequence[int] = (), wavelength: float = HELIUM_NEON) -> tupl
     """Effects of every interferometer, on its length and its reading; channel d is the reading.
 
     blocks: blocks at which the reading may have jumped (beam lost); wavelength: in air, for the cyclic error [m].
-    Returns scale, air temperature error, dead path, cosine, cyclic error, drift, thermal, steps. See
+    Returns scale, air temperature error, dead path, cyclic error, drift, thermal, steps. See
     `tracking_effects` and `displacement_effects` for what only one kind has.
     """
     return (
@@ -132,7 +132,6 @@ def effects(blocks: Sequence[int] = (), wavelength: float = HELIUM_NEON) -> tupl
         Effect("dead_path", "length",
                lambda value, p, temperature_difference: p.l * air.PER_KELVIN * temperature_difference,
                (Parameter("l", "mm", (5 * mm, 2 * metre), lower=0.0),), "d", source=FIELD),
-        cosine("length", "d"),
         cyclic("displacement", "d", wavelength),
         influence.drift("displacement", "um", (0.05 * um / hour, 20 * um / hour), channel="d", source=FIELD),
         influence.thermal("displacement", "um", (0.05 * um, 10 * um), channel="d", source=FIELD),
@@ -141,12 +140,13 @@ def effects(blocks: Sequence[int] = (), wavelength: float = HELIUM_NEON) -> tupl
 
 
 def displacement_effects() -> tuple[Effect, ...]:
-    """Effects of a displacement interferometer on a guide: Abbe error and hysteresis.
+    """Effects of a displacement interferometer on a guide: cosine error, Abbe error and hysteresis.
 
     The Abbe error is kappa times the covariate `abbe_offset` [m] times the position: a pitch that grows with the
     travel.
     """
     return (
+        cosine("length", "d"),
         Effect("pitch_abbe", "length", lambda value, p, abbe_offset: p.kappa * abbe_offset * value,
                (Parameter("kappa", "urad/m", (0.5 * urad, 100 * urad)),), "d", source=ABBE),
         influence.hysteresis("displacement", "um", (0.05 * um, 10 * um), channel="d", source=FIELD),

@@ -121,7 +121,7 @@ def test_the_example_attaches_every_effect_of_the_module(instrument):
     assert {(effect.name, effect.slot) for effect in instrument.effects()} <= attached
 
 
-# The vocabulary of the discrepancy cases that belongs to instruments: effects, channels, and parameters with their units.
+# The vocabulary of the discrepancy cases that belongs to instruments: effects, channels, parameters with their units.
 # A cosine error is reported there as beta; its parameter is kappa = beta^2/2, because beta has no first-order effect.
 VOCABULARY = [
     ("level", "drift", ("reading",), {"rate": "arcsec/h"}), ("level", "thermal", ("reading",), {"coef": "arcsec/K"}),

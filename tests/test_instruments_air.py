@@ -61,3 +61,10 @@ def test_the_stated_sensitivities_are_the_derivatives_of_the_index():
     derivative = np.array(function([293.15, 101325, 0.5, 450e-6]))[0]
     stated = [air.PER_KELVIN, air.PER_PASCAL, air.PER_HUMIDITY, air.PER_CARBON_DIOXIDE]
     assert stated == pytest.approx(derivative, rel=5e-3)                # they are given to three digits
+
+
+def test_the_uncertainty_of_the_index_has_a_line_for_each_quantity_on_the_wall():
+    # 0.1 K: 0.0955 ppm; 10 Pa: 0.0268; 5 % relative humidity: 0.0425; 50 ppm CO2: 0.00715; the equation 0.01 ppm.
+    squares = 0.0955**2 + 0.0268**2 + 0.0425**2 + 0.00715**2 + 0.01**2
+    lines = air.stated_uncertainty(0.1, 10.0, 0.05, 50e-6)
+    assert float(lines.u) == pytest.approx(1e-6 * np.sqrt(squares), rel=1e-4)
