@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calib import covariance, linearise, predict, solve
-from calib.errors import InputError
+from calib.errors import CalibrationError, InputError, RankDefect
 from calib.job import Job
 from calib.units import arcsec, hour, ppm, um
 from problems import locators
@@ -145,7 +145,6 @@ def test_fifteen_of_the_eighty_four_choices_determine_the_pose_and_all_of_them_d
 
 
 def test_a_choice_that_leaves_the_pose_open_is_refused_in_words():
-    from calib.errors import RankDefect
     from problems.locators.pose_error import declare as under_drive
     problem = under_drive(MECHANISM, POSES["initial"], {"A": ("x", "y"), "B": ("x", "y", "z"), "C": ("z",)})
     with pytest.raises(RankDefect, match="part"):
@@ -335,4 +334,13 @@ def test_a_pose_without_tracker_and_a_job_without_targets_still_stand(tmp_path):
 def test_a_job_with_a_mistake_says_what_to_mend(tmp_path, old, new, message):
     path = write_job(tmp_path, change=lambda name, text: text.replace(old, new))
     with pytest.raises(InputError, match=message):
+        locators.from_job(Job.read(path))
+
+
+def test_a_job_frees_the_effects_it_names_and_a_wrong_name_is_met_with_the_right_ones(tmp_path):
+    path = write_job(tmp_path, change=lambda name, text: text + '\n[options]\nfree = ["squareness (A.xy)"]\n'
+                     if name.endswith(".toml") else text)
+    assert solve(locators.from_job(Job.read(path))).p_value > 1e-3
+    path.write_text(path.read_text().replace("(A.xy)", "(A.yx)"))
+    with pytest.raises(CalibrationError, match=r"squareness \(A.yx\).*squareness \(A.xy\)"):
         locators.from_job(Job.read(path))

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib import Problem
+from calib import Problem, Quantity
 from calib.errors import InputError
 from calib.job import Job
 from calib.table import Table
@@ -20,15 +20,18 @@ from instruments import laser_tracker
 from problems.locators.errors import AXES, Frames
 from problems.locators.identification import Knowledge, with_error_functions, with_knowledge
 from problems.locators.measured import Locator, Readings, Setup, declare
+from problems.locators.pose_error import COMPONENT_UNITS, position_and_angles
 
+SCENARIO = "locator_pose"
 KINDS = ("axis", "target")
 
 
 def from_job(job: Job) -> Problem:
-    """The declared problem of a job: poses and tracker frame unknown, every named effect held.
+    """The declared problem of a job: poses and tracker frame unknown, every named effect held; result: every `pose`.
 
     job: with the table `measurements`, [instruments.locator], [known], where there are targets [instruments.tracker].
-    [options] errors = "functions" frees all 21 errors of every locator as functions of the travel, with prior_length,
+    [options] free = ["squareness (A.xy)"] frees named effects (those that `calib effects` lists);
+    errors = "functions" frees all 21 errors of every locator as functions of the travel, with prior_length,
     prior_angle and prior_squareness as their standard uncertainties beforehand ("named", the default: nothing is free).
     Raises InputError for an unknown kind of row, locator or target, and for what is missing.
     """
@@ -45,6 +48,13 @@ def from_job(job: Job) -> Problem:
         u_tracker = [tracker.quantity(f"sigma_{name}", kind) for name, kind in
                      (("range", "length"), ("azimuth", "angle"), ("zenith", "angle"))]
         problem = declare(setup, axes, targets, u_axis=u_axis, u_tracker=u_tracker)
+    if job.problem != SCENARIO:         # a case is solved a thousand times and asks for no pose
+        part = next(unknown for unknown in problem.unknowns if unknown.name == "part")
+        problem = problem.with_quantities(Quantity(
+            "pose", position_and_angles, part.each, unit=COMPONENT_UNITS, parts=("x", "y", "z", "alpha", "beta",
+                                                                                 "gamma"),
+            keys=part.keys))
+    problem = problem.free(*job.options.texts("free", ()))
     if job.options.text("errors", "named", ("named", "functions")) == "named":
         return problem
     usual = Knowledge()
