@@ -19,18 +19,18 @@ from calib import (
     Gaussian,
     Observations,
     Problem,
-    Quantity,
     Shared,
     Unknown,
     direct,
     hands_slots_to,
     simulate,
 )
-from calib.geometry import Transform, cross, matrix, norm, product
+from calib.errors import InputError
+from calib.geometry import cross
 from calib.job import MEASUREMENTS
 from calib.units import arcsec, degree, kelvin_from_celsius, minute, mm, um
 from instruments import laser_tracker
-from problems import algebraic_circle, circle, pairwise_circle
+from problems import algebraic_circle, circle
 from problems.circle import in_plane
 from problems.turntable_effects import table_effects, tracker_effects
 
@@ -85,25 +85,34 @@ def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
 # --- the declaration ---------------------------------------------------------------------------------------------
 
 
-def start(command: ArrayLike, points: ArrayLike, item: ArrayLike, axis: ArrayLike | None = None) -> dict[str, Array]:
+def start(command: ArrayLike, points: ArrayLike, reflectors: Sequence[str], axis: ArrayLike | None = None
+          ) -> dict[str, Array]:
     """Start values from an algebraic circle through the points of each reflector.
 
-    command: (n,) [rad]; points: (n, 3) [m] in the frame of the tracker; item: (n,) reflector of each row, from 0.
+    command: (n,) [rad]; points: (n, 3) [m] in the frame of the tracker; reflectors: (n,) names, reflector 1 first.
     axis: (3,) approximate direction, its sense included, or None: the sense in which the points follow the command.
     Returns centre (3,) [m], axis (3,), reference (3,), and radius, phase, height of each reflector [m, rad, m].
+    Raises InputError where the points of a reflector make no circle or turn the other way about the axis.
     """
-    command, points, item = np.asarray(command, float), np.asarray(points, float), np.asarray(item, int)
-    circles = [algebraic_circle.space_circle(points[item == k], command=command[item == k], axis=axis)
-               for k in range(item.max() + 1)]
+    command, points, names = np.asarray(command, float), np.asarray(points, float), np.asarray(reflectors)
+    circles, phases = [], []
+    for name in dict.fromkeys(names.tolist()):
+        mine = names == name
+        try:
+            circles.append(algebraic_circle.space_circle(points[mine], command=command[mine], axis=axis))
+        except InputError as error:
+            raise InputError(f"reflector {name}: {error}") from None
+        direction, reference = circles[0].normal, circles[0].reference
+        offset = points[mine] - circles[0].centre
+        angle = np.arctan2(offset @ np.cross(direction, reference), offset @ reference)
+        phases.append(np.angle(np.exp(1j * (angle - command[mine])).mean()))
+        with_command, against = (1.0 - np.abs(np.exp(1j * (angle - sign * command[mine])).mean())
+                                 for sign in (1.0, -1.0))
+        if against < 0.01 * with_command:
+            raise InputError(f"reflector {name} turns left-handed about the given axis direction while the command "
+                             "grows; reverse the axis direction, or the sign of the commanded angles")
     centre, direction = circles[0].centre, circles[0].normal
-    reference = circles[0].reference
-    side = np.cross(direction, reference)
-    phases = []
-    for k in range(len(circles)):
-        offset = points[item == k] - centre
-        angle = np.arctan2(offset @ side, offset @ reference) - command[item == k]
-        phases.append(np.angle(np.exp(1j * angle).mean()))
-    return {"centre": centre, "axis": direction, "reference": reference, "phase": np.array(phases),
+    return {"centre": centre, "axis": direction, "reference": circles[0].reference, "phase": np.array(phases),
             "radius": np.array([c.radius for c in circles]),
             "height": np.array([(c.centre - centre) @ direction for c in circles])}
 
@@ -119,14 +128,14 @@ def declare(command: ArrayLike, readings: ArrayLike, u: ArrayLike | Gaussian, re
     positioning error of every stop is wanted (unknown `deviation`, zero by definition at stop 0), or None for a table
     that obeys.
     covariates: time [s], direction, temperature_difference [K], block, each (n,); rows: (n,) row numbers of the file.
-    Raises InputError where the readings of a reflector do not make a circle.
+    Raises InputError where the readings of a reflector make no circle or turn the other way about the axis.
     """
     command, readings = np.asarray(command, float), np.asarray(readings, float)
     n = len(command)
     names = np.full(n, "1") if reflectors is None else np.asarray(reflectors).astype(str)
     keys = list(dict.fromkeys(names.tolist()))
     item = np.array([keys.index(name) for name in names])
-    begin = start(command, laser_tracker.cartesian_readings(readings), item, axis)
+    begin = start(command, laser_tracker.cartesian_readings(readings), names, axis)
     centre = Unknown("centre", begin["centre"], unit="mm", parts=("x", "y", "z"))
     direction = Direction("axis", begin["axis"], unit="arcsec")
     radius = Unknown("radius", begin["radius"][:, None], unit="mm", keys=keys)
@@ -154,46 +163,6 @@ def _deviations(command: Array, stops: ArrayLike | None) -> tuple[Any, list[Any]
     keys = [f"{np.degrees(command[np.flatnonzero(stops == k)[0]]):.6g}#{k + 1}" for k in range(stops.max() + 1)]
     deviation = Unknown("deviation", np.zeros((len(keys), 1)), unit="arcsec", keys=keys)
     return deviation[stops], [deviation[0]]
-
-
-# --- the paper's way: frame change and angles --------------------------------------------------------------------
-
-
-def table_frame(centre: Any, normal: Any, first: Any) -> Transform:
-    """The frame of the table from that of the tracker: origin at the centre, z along the normal, x to a first point.
-
-    centre, first: (3,) points [m]; normal: unit (3,). The paper points x at the first point itself, which only a point
-    exactly in the plane allows; here at its foot in the plane. Source: the paper, equation 15 and figure 3.
-    """
-    x, y = in_plane(normal, first - centre)
-    rotation = matrix([[x[0], x[1], x[2]], [y[0], y[1], y[2]], [normal[0], normal[1], normal[2]]])
-    return Transform(rotation, -product(rotation, centre))
-
-
-def angles_in_table(point: Any, first: Any, centre: Any, normal: Any) -> Any:
-    """Angle turned [rad], right-handed about the normal, axial angle [rad] and distance [m] of a point (3,) [m].
-
-    first: (3,) the first point [m]; centre (3,) [m]; normal: unit (3,). The axial part leaves the angle turned.
-    Source: the paper, equation 18, with the sign and the quadrant that its arc tangent loses.
-    """
-    seen = table_frame(centre, normal, first) @ point
-    return ca.vertcat(ca.atan2(seen[1], seen[0]), ca.atan2(seen[2], ca.sqrt(seen[0]**2 + seen[1]**2)), norm(seen))
-
-
-def declare_paper(points: ArrayLike, weights: ArrayLike | None = None) -> Problem:
-    """The paper's procedure: circle by equation 8, or 14 with weights, then frame change and angles as a quantity.
-
-    points: (n, 3) [m]; weights: (n,) of equations 9 to 13, or None. Quantity `angles`: turned, axial, distance.
-    """
-    points = np.asarray(points, float)
-    problem = (pairwise_circle.pairwise(points) if weights is None
-               else pairwise_circle.weighted_pairwise(points, weights))
-    centre, plane = (problem.select(name).unknown for name in ("centre", "plane"))
-
-    def angles(point: Any, first: Any, centre: Any, plane: Any) -> Any:
-        return angles_in_table(point, first, centre, plane[:3] / norm(plane[:3]))
-    return problem.with_quantities(Quantity("angles", angles, points, Shared(points[0]), centre, plane,
-                                            parts=("turned", "axial", "distance"), unit=("deg", "arcsec", "mm")))
 
 
 # --- jobs, cases and examples ------------------------------------------------------------------------------------
