@@ -105,11 +105,12 @@ def gain(name: str, slot: str, unit: str, plausible: Plausible, *, source: str, 
     return Effect(name, slot, lambda value, p: p.k * value, (Parameter("k", unit, plausible),), channel, source=source)
 
 
-def harmonic(name: str, slot: str, order: int, unit: str, plausible: Plausible, *, source: str,
+def harmonic(name: str, slot: str, order: float, unit: str, plausible: Plausible, *, source: str,
              channel: str = "") -> Effect:
-    """Periodic addition over the angle at a slot: + c cos(order angle) + s sin(order angle).
+    """Periodic addition over the value at a slot: + c cos(order value) + s sin(order value).
 
-    name: how answers call it; order: waves per turn; the rest as for `drift`. Returns the effect, without inputs.
+    name: how answers call it; order: waves per turn where the value is an angle, else radians per unit of the value;
+    the rest as for `drift`. Returns the effect, without inputs.
     """
     return Effect(name, slot, lambda value, p: p.c * cos(order * value) + p.s * sin(order * value),
                   (Parameter("c", unit, plausible), Parameter("s", unit, plausible)), channel, source=source)

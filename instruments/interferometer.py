@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from casadi import atan2, cos, dot, pi, sin, sqrt, vertcat
+from casadi import atan2, cos, dot, pi, sin, sqrt
 from numpy.typing import ArrayLike
 
 from calib import Effect, Observations, Parameter, Problem, Unknown, direct, hands_slots_to, simulate
@@ -50,14 +50,10 @@ def tracking(point: Any, base: Any, start: Any, sense: Any, *, tracked_point: An
     Returns sense (|point - base| - start) [m]. Source: Chen, Li, Zhang, Zhao (2007), J. Astronautic Metrology and
     Measurement 27(2), eq (1).
     """
-    x, y, z = _components(tracked_point(point, base=base) - tracking_base(base, point=point))
-    distance = sqrt(x**2 + y**2 + z**2)
-    asked = {"line": vertcat(x, y, z) / distance, "azimuth": atan2(y, x), "distance": distance}
+    path = tracked_point(point, base=base) - tracking_base(base, point=point)
+    distance = sqrt(dot(path, path))
+    asked = {"line": path / distance, "azimuth": atan2(path[1], path[0]), "distance": distance}
     return displacement(sense * (length(distance, **asked) - start), **asked)
-
-
-def _components(vector: Any) -> tuple[Any, Any, Any]:
-    return vector[0], vector[1], vector[2]
 
 
 @hands_slots_to(tracking)
@@ -106,8 +102,7 @@ def cosine(slot: str, channel: str, source: str = FIELD) -> Effect:
 
 
 def cyclic(slot: str, channel: str, wavelength: float = HELIUM_NEON, passes: int = 2) -> Effect:
-    """Cyclic error (nonlinearity of the interpolation): + c cos(psi) + s sin(psi), psi = 2 pi passes/wavelength times
-    the value.
+    """Cyclic error of the interpolation: + c cos(psi) + s sin(psi), psi = 2 pi passes/wavelength times the value.
 
     slot, channel: as of an Effect; wavelength [m]; passes: how often the path is traversed, 2 for a plain reflector.
     Returns the effect. Source: Hou and Wilkening, Precision Engineering 14 (1992) 91-98.
@@ -154,12 +149,11 @@ def displacement_effects() -> tuple[Effect, ...]:
 
 
 def tracking_effects() -> tuple[Effect, ...]:
-    """Effects of a tracking interferometer: wander of its base point with the pointing and with time, and late
-    triggering.
+    """Effects of a tracking interferometer: wander of its base with pointing and with time, and late triggering.
 
     `base_wander`: + c cos(2 azimuth) + s sin(2 azimuth), because one wave per turn is a shift of the base point
-    itself. `time_sync` needs the model argument `velocity` ((3,) [m/s]) and acts in the sense of a growing length: +
-    tau velocity . line.
+    itself. `time_sync` needs the model argument `velocity` ((3,) [m/s]); it adds tau times the component of the
+    velocity along the line to the length.
     """
     wander = (0.05 * um, 5 * um)
     return (
@@ -174,8 +168,7 @@ def tracking_effects() -> tuple[Effect, ...]:
 
 
 def example(seed: int) -> Problem:
-    """A tracking interferometer on three lines of a machine and a displacement interferometer along the first;
-    simulated readings.
+    """A tracking interferometer on lines of a machine, a displacement interferometer along one; simulated readings.
 
     The positions of the machine are known; both counters start anywhere. seed: of the simulated noise.
     Returns the problem with every effect of this module as a held candidate.
@@ -184,8 +177,7 @@ def example(seed: int) -> Problem:
     zero = np.zeros_like(run)
     path = np.concatenate([np.stack(line, axis=1) for line in (
         (run, zero, zero), (run[::-1], zero + 0.4, zero + 0.1), (zero + 0.7, run, zero),
-        (zero, run[::-1], zero + 0.3), (zero, zero + 0.7, run),
-        (zero + 0.7, zero + 0.7, run[::-1]))])
+        (zero, run[::-1], zero + 0.3), (zero, zero + 0.7, run), (zero + 0.7, zero + 0.7, run[::-1]))])
     forward = np.tile(np.repeat([1.0, -1.0], len(run)), 3)
     velocity = forward[:, None] * np.repeat(np.eye(3), 2 * len(run), axis=0) * 5 * mm
     count = len(path)

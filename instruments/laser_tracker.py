@@ -160,10 +160,13 @@ def from_coordinate_statement(fixed: float, rate: float, coverage_factor: float 
     """A statement U = a + b L for each coordinate of a point at distance L, as range and angle uncertainties.
 
     fixed: a [m]; rate: b [m/m]; coverage_factor: k of the statement. Assumption: U holds for any coordinate,
-    whichever way the axes point, so the error is isotropic: along the beam and in both directions across it the
-    standard uncertainty is (a + b L)/k. Then u(range) = (a + b L)/k, u(zenith) = (a + b L)/(k L), u(azimuth) = (a + b
-    L)/(k L sin zenith). Errors of different points are taken as independent, which is pessimistic for the range
-    differences of an interferometer.
+    whichever way the axes point, so the error is isotropic, with u = (a + b L)/k along the beam and in both directions
+    across it:
+
+        u(range) = u,    u(zenith) = u/L,    u(azimuth) = u/(L sin zenith).
+
+    Errors of different points are taken as independent, which is pessimistic for the range differences of an
+    interferometer.
     Returns the statement. Source: the form U = (15 um + 6 um/m L), k = 2, in Li, Cao, Qu (2020), Metrology &
     Measurement Technology 40(2), section 3; JCGM 100:2008, 6.2.1.
     """
@@ -263,7 +266,6 @@ def base_effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
           for step in influence.steps("tracker_point", "um", (2 * um, 500 * um), blocks, channel=channel, along=axis,
                                       source=FIELD)),
     )
-
 
 
 def example(seed: int) -> Problem:

@@ -1,6 +1,6 @@
 """Electronic level: inclination against gravity, read as a small angle.
 
-Sign: the reading grows where the end of the level toward which its sense points rises.
+Sign: an inclination is positive where it makes the reading grow.
 """
 
 from __future__ import annotations
@@ -45,8 +45,7 @@ def on_turning_axis(axis_tilt: Any, angle: Any, zero: Any, **slots: Any) -> Any:
 
 def stated_uncertainty(limit_fixed: float, limit_share: float, reading: np.ndarray | float,
                        resolution: float) -> stated.Lines:
-    """Standard uncertainty of level readings from a limit of error of the form fixed + share |reading|, and from the
-    resolution.
+    """Standard uncertainty of level readings from the resolution and a limit of error fixed + share |reading|.
 
     limit_fixed [rad], limit_share [1]: limit of error of the indication, taken as rectangular because nothing but the
     limit is known; reading: (n,) [rad]; resolution: last digit [rad]. Returns the lines `limit of error` and

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from casadi import DM, atan2, cos, pi, sin, sqrt, tan
+from casadi import DM, atan2, cos, pi, sin, sqrt, tan, vertcat
 from numpy.typing import ArrayLike
 
 from calib import Direction, Effect, Observations, Parameter, Problem, Shared, Unknown, direct, simulate
@@ -68,6 +68,8 @@ def circles(line: Any, face: Any, zero: Any, sense: Any, *, sight_line: Any = di
 
 def _circles(azimuth: Any, zenith_angle: Any, elevation: Any, face: Any, zero: Any, sense: Any, standing_axis: Any,
              horizontal: Any, zenith: Any, horizontal_circle: Any, vertical_circle: Any) -> tuple[Any, Any]:
+    # A standing axis along (tilt, 1) turns the line by (tilt_y, -tilt_x, 0) as the instrument sees it: the zenith angle
+    # loses the part of the tilt along the line, the azimuth gains the part across it times tan(elevation).
     tilt = standing_axis(DM.zeros(2))
     along = tilt[0] * cos(azimuth) + tilt[1] * sin(azimuth)
     across = tilt[0] * sin(azimuth) - tilt[1] * cos(azimuth)
@@ -81,8 +83,7 @@ def _circles(azimuth: Any, zenith_angle: Any, elevation: Any, face: Any, zero: A
 
 
 def pointing(u_circles: ArrayLike, distance: ArrayLike, elevation: ArrayLike, u_target: float) -> np.ndarray:
-    """Standard uncertainty of pointed circle readings: circles and, by distance, the centring of the target and the
-    pointing to it.
+    """Standard uncertainty of pointed circle readings, from the circles and, by distance, from the target.
 
     u_circles: (2,) of H and V, circle and pointing at infinity [rad]; distance: (n,) [m]; elevation: (n,) [rad];
     u_target: standard uncertainty of the pointed place at the target, across the line, in each direction [m].
@@ -96,8 +97,7 @@ def pointing(u_circles: ArrayLike, distance: ArrayLike, elevation: ArrayLike, u_
 
 
 def stated_uncertainty(deviation_of_two_faces: float, resolution: float) -> stated.Lines:
-    """Standard uncertainty of one circle reading on one face from the stated standard deviation of a direction in two
-    faces.
+    """Standard uncertainty of a circle reading on one face from the stated standard deviation of two faces.
 
     deviation_of_two_faces: experimental standard deviation of the mean of one reading on each face, as ISO 17123-3
     (DIN 18723-3) states it [rad]; resolution: last digit [rad]. The two faces are taken as independent, so one
@@ -130,7 +130,7 @@ def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
                (Parameter("c", "arcsec", (0.5 * arcsec, 60 * arcsec)),), "H", source=AXES),
         Effect("trunnion_tilt", "horizontal", lambda value, p, elevation, face: face * p.t * tan(elevation),
                (Parameter("t", "arcsec", (0.5 * arcsec, 30 * arcsec)),), "H", source=AXES),
-        Effect("standing_axis_tilt", "standing_axis", lambda value, p: DM([1, 0]) * p.x + DM([0, 1]) * p.y,
+        Effect("standing_axis_tilt", "standing_axis", lambda value, p: vertcat(p.x, p.y),
                (Parameter("x", "arcsec", (0.2 * arcsec, 60 * arcsec)),
                 Parameter("y", "arcsec", (0.2 * arcsec, 60 * arcsec))),
                source=AXES),
@@ -143,8 +143,7 @@ def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
 
 
 def example(seed: int) -> Problem:
-    """Seven targets in unknown directions, two rounds on both faces, and one distant mark near the horizon; simulated
-    readings.
+    """Seven targets in unknown directions, two rounds on both faces, and a mark near the horizon; simulated readings.
 
     seed: of the simulated noise. Returns the problem with every effect of this module as a held candidate.
     """
@@ -171,7 +170,7 @@ def example(seed: int) -> Problem:
     zenith_angle = Unknown("mark_zenith", 89.5 * degree, "deg")
     faces = np.tile([1.0, -1.0], 4)
     mark = Observations(face_readings, horizontal_angle, zenith_angle, Shared(0.5 * degree), faces, u=1.0 * arcsec,
-                        group="mark",
-                        unit="arcsec", components=("H", "V"), period=PERIOD, covariates=influences(len(faces)))
+                        group="mark", unit="arcsec", components=("H", "V"), period=PERIOD,
+                        covariates=influences(len(faces)))
     problem = Problem([round_of_targets, mark], effects=effects(blocks=(2,)), name="theodolite on targets")
     return simulate(problem, {}, seed)

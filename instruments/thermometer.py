@@ -15,6 +15,7 @@ from casadi import fmin
 from numpy.typing import ArrayLike
 
 from calib import Effect, Observations, Parameter, Problem, Unknown, direct, simulate
+from calib.errors import InputError
 from calib.units import hour, kelvin, minute
 
 from . import influence, stated
@@ -59,9 +60,12 @@ def tolerance_uncertainty(tolerance_class: str, temperature: ArrayLike) -> np.nd
     tolerance_class: "AA", "A", "B" or "C"; temperature: (n,) [K]. Assumption: the sensor lies within its tolerance
     and nothing more is known (rectangular). The error is common to all readings of one sensor: give it as a prior on
     the effect `zero_offset`, not to each reading.
-    Returns (n,) tolerance/sqrt(3) [K]. Raises KeyError for another class. Source: IEC 60751:2022, table of tolerance
-    classes.
+    Returns (n,) tolerance/sqrt(3) [K]. Raises InputError for another class. Source: IEC 60751:2022, table of
+    tolerance classes.
     """
+    if tolerance_class not in _TOLERANCES:
+        raise InputError(f"There is no tolerance class '{tolerance_class}' in IEC 60751; there are "
+                         f"{', '.join(_TOLERANCES)}. For another limit use stated.rectangular.")
     fixed, rate = _TOLERANCES[tolerance_class]
     return stated.rectangular(fixed + rate * np.abs(np.asarray(temperature, float) - ZERO_CELSIUS))
 
@@ -92,8 +96,7 @@ def effects(blocks: Sequence[int] = (), reference_temperature: float = 293.15) -
 
 
 def example(seed: int) -> Problem:
-    """A thermometer and a platinum sensor compared with a reference in a bath, up and down in temperature; simulated
-    readings.
+    """A thermometer and a platinum sensor compared with a reference in a bath, up and down; simulated readings.
 
     seed: of the simulated noise. Returns the problem with every effect of the thermometer under test as a held
     candidate.

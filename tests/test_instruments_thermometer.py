@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calib import Observations, Problem, Shared, predict
+from calib.errors import InputError
 from instruments import thermometer
 
 
@@ -26,6 +27,11 @@ def test_the_tolerance_classes_are_rectangular():
     # Class A at 100 degC: 0.15 + 0.002 * 100 = 0.35 K; class B at -50 degC: 0.3 + 0.005 * 50 = 0.55 K.
     assert thermometer.tolerance_uncertainty("A", 373.15) == pytest.approx(0.35 / np.sqrt(3), rel=1e-12)
     assert thermometer.tolerance_uncertainty("B", 223.15) == pytest.approx(0.55 / np.sqrt(3), rel=1e-12)
+
+
+def test_an_unknown_tolerance_class_is_refused_in_words():
+    with pytest.raises(InputError, match="no tolerance class 'D'"):
+        thermometer.tolerance_uncertainty("D", 300.0)
 
 
 def shown(name=None, size=None, **covariates):
