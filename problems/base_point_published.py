@@ -8,6 +8,7 @@ Source: Chen, Li, Zhang, Zhao, J. Astronautic Metrology and Measurement 27(2), 2
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -231,7 +232,24 @@ def reproduce() -> Reproduction:
     tied, free = Result.of("d", TiedStart(ZERO_POINT)), Result.of("d", FreeStart(ZERO_POINT))
     experimental = _experiment_items(printed, tied, free, Result.of("d_printed", TiedStart(ZERO_POINT)))
     items = {item.key: item for item in (*experimental, *_simulation_items(printed), *_layout_items(printed))}
-    return Reproduction(published, tuple(items[key] for key in printed), studies=_studies(free))
+    return Reproduction(published, tuple(items[key] for key in printed), studies=_studies(free),
+                        figures={"Residuals of table 2: start tied to the zero point, and free": _residuals(tied, free)})
+
+
+def _residuals(tied: Result, free: Result) -> Callable[[], Any]:
+    """The residuals along both lines, and the printed ones, drawn when asked for."""
+    def draw() -> Any:
+        from matplotlib.figure import Figure
+        table = shipped("base_point/table2_experiment.csv")
+        figure = Figure(figsize=(7.5, 3.4), layout="constrained")
+        axes = figure.subplots()
+        for name, result in (("start tied", tied), ("start free", free)):
+            axes.plot(table.whole("i"), result.estimate.residuals["tracker"][:, 0] / um, ".-", label=name)
+        axes.plot(table.whole("i"), table.number("delta_um", "length") / um, "kx", label="printed")
+        axes.set(xlabel="row (to 14: line X, then line Y)", ylabel="residual [um]")
+        axes.legend()
+        return figure
+    return draw
 
 
 def _studies(free: Result) -> dict[str, Any]:

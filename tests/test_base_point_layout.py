@@ -80,6 +80,18 @@ def test_symmetric_is_better_along_the_line_and_hardly_across():
         assert u[1] / u[0] == pytest.approx([ratio_x, ratio_y], abs=0.01)
 
 
+def test_with_the_start_tied_the_best_foot_is_not_in_the_middle_and_with_a_free_start_it_is_at_the_mean_target():
+    feet = np.arange(0.3, 1.2, 0.01)
+    best = {}
+    for name, zero in (("tied", TIED), ("free", FREE)):
+        u = [base_point_layout.uncertainties(base_point_published.layout_targets(), (foot, 0.5), zero, 1.0 * um)[0]
+             for foot in feet]
+        best[name] = feet[int(np.argmin(u))]
+        if name == "tied":
+            assert min(u) == pytest.approx(0.28 * um, abs=0.005 * um)
+    assert best["tied"] == pytest.approx(0.49, abs=0.02) and best["free"] == pytest.approx(0.77, abs=0.011)
+
+
 def test_equation_1_and_the_planar_calibration_tied_to_its_zero_are_one_model():
     for foot in (0.7, 1.4):
         plan = base_point.declare_one_line(base_point_published.travel(), None, 1.0 * um, begin=(foot, 0.5))
