@@ -108,7 +108,7 @@ def figures(data: TwoWay) -> tuple[Figure, ...]:
     """The figures A, E, M, R, B of two-way data, with the u that the scatter of the runs gives them [rad].
 
     The u belongs to the positions that decided the figure; that these were chosen because they are extreme makes the
-    figure itself too large on average. Source: ISO 230-2:2014, 3.12 to 3.23; u of a spread: s/sqrt(2(n - 1)).
+    figure itself too large on average. Source: ISO 230-2:2014, clause 3; u of a spread: s/sqrt(2(n - 1)).
     """
     mean, spread, n = data.mean, data.spread, data.runs
     u_mean, u_spread = spread / np.sqrt(n), spread / np.sqrt(2.0 * (n - 1))

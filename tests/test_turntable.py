@@ -1,5 +1,7 @@
 """The turntable: model, effects, positioning error, the paper's angles, and the published comparison."""
 
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -197,6 +199,29 @@ def test_one_way_readings_cannot_tell_scale_drift_and_slip_apart(reproduction):
     answers = reproduction.studies["told apart"]
     assert len(answers["table 1, one way"]["cannot_be_known"]) == 2
     assert answers["and back after an hour"]["cannot_be_known"] == []
+
+
+def test_the_page_of_slips_carries_the_numbers_of_the_reproduction(reproduction):
+    page = (Path(__file__).parents[1] / "docs" / "slips" / "turntable.md").read_text(encoding="utf-8")
+    studies = reproduction.studies
+    growth, left = (studies["growth and radius"][k]
+                    for k in ("growth_against_polygon_ppm", "left_of_the_radius_law_ppm"))
+    scatter = studies["agreement"]["scatter_in_stated_u"]
+    e_n = {(r["method"], r["distance_m"]): r["largest_E_n"] for r in studies["agreement"]["rows"]}
+    closings = [reproduction[f"{c}_closure"].value * 3600 for c in
+                ("T1_A1", "T1_B1", "T1_B2", "T2_horizontal", "T2_pitch", "T2_spin")]
+    apart = studies["told apart"]["and back after an hour"]["separability"]
+    for words in (
+            f"B1 grows by {growth['B1'][0]:.1f} ± {growth['B1'][1]:.1f} ppm, B2 by {growth['B2'][0]:.1f} ± "
+            f"{growth['B2'][1]:.1f} ppm", f"= {left['polygon'][0]:.0f} ± {left['polygon'][1]:.0f} ppm",
+            f"({left['command'][0]:.0f} ± {left['command'][1]:.0f} ppm)",
+            f"{scatter['B1'][0]:.2f} ± {scatter['B1'][1]:.2f} (B1) and "
+            f"{scatter['B2'][0]:.2f} ± {scatter['B2'][1]:.2f} (B2)",
+            f"{e_n['B1', 3.0]:.2f} (B1), {e_n['B2', 3.0]:.2f} (B2) at 3 m; "
+            f"{e_n['B1', 1.5]:.2f} and {e_n['B2', 1.5]:.2f}",
+            '{:.0f}, {:.0f}, {:.0f}" (A1, B1, B2); {:.0f}, {:.0f}, {:.0f}" (table 2)'.format(*closings),
+            f"hour {apart['drift (reading)']:.2f} for drift and slip"):
+        assert words in page
 
 
 def test_figures_are_drawn(reproduction):
