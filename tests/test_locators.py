@@ -344,3 +344,14 @@ def test_a_job_frees_the_effects_it_names_and_a_wrong_name_is_met_with_the_right
     path.write_text(path.read_text().replace("(A.xy)", "(A.yx)"))
     with pytest.raises(CalibrationError, match=r"squareness \(A.yx\).*squareness \(A.xy\)"):
         locators.from_job(Job.read(path))
+
+
+def test_a_table_without_the_conditions_gives_the_same_poses(tmp_path):
+    def bare(name, text):
+        if not name.endswith(".csv"):
+            return text
+        kept = [0, 2, 6, 7, 8, 9, 10]
+        return "\n".join(",".join(line.split(",")[i] for i in kept) for line in text.splitlines()[1:]) + "\n"
+    whole = solve(locators.from_job(Job.read(write_job(tmp_path))))
+    thin = solve(locators.from_job(Job.read(write_job(tmp_path, change=bare))))
+    assert thin.objective == pytest.approx(whole.objective, rel=1e-12)

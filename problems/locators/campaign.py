@@ -1,5 +1,4 @@
-"""Simulated campaigns: a hall, a part, poses, and what axes and tracker would read, drawn from the declared model
-itself."""
+"""Simulated campaigns: a hall, a part, poses, and what axes and tracker would read by the declared model."""
 
 from __future__ import annotations
 
@@ -69,9 +68,9 @@ def measure(part: Sequence[Transform], seed: int, truth: Mapping[str, ArrayLike]
 
 def drive(commanded: Sequence[Transform], seed: int, truth: Mapping[str, ArrayLike], *, setup: Setup = HALL,
           further: Sequence[Effect] = (), checks: int = 0) -> Campaign:
-    """All nine axes driven to the nominal travels of commanded poses; joints that give way alike let the part take the
-    pose nearest to all nine. The axes read those travels, without noise; the tracker measures where the part went.
+    """All nine axes driven to the nominal travels of commanded poses, and the tracker's readings of where the part went.
 
+    Joints that give way alike let the part take the pose nearest to all nine; the axes read the travels without noise.
     Arguments as for `measure`, commanded poses in the place of true ones. The part of the campaign is where it went.
     """
     axes, targets = _conditions(setup, len(commanded), seed, checks)
@@ -129,13 +128,13 @@ def _job_text(setup: Setup) -> str:
     def vector(values: Any) -> str:
         return "[" + ", ".join(f"{value / mm:.4f}" for value in values) + "]"
     frames = setup.locators[0].frames
+    half = [f"{axis} = {length / mm:.1f}" for axis, length in zip(AXES, setup.half_range, strict=True)]
     lines = ['problem = "problems.locators"', "", "[data.measurements]", 'file = "measurements.csv"', "",
              "[instruments.locator]", f"sigma_axis_um = {U_AXIS / um:g}", "", "[instruments.tracker]",
              f"sigma_range_um = {U_TRACKER[0] / um:g}", f"sigma_azimuth_arcsec = {U_TRACKER[1] / arcsec:g}",
              f"sigma_zenith_arcsec = {U_TRACKER[2] / arcsec:g}", "", "[known]", "reference_temperature_C = 20.0",
              f"abbe_height_mm = {frames.abbe_height / mm:.4f}", f"reach_at_zero_mm = {frames.reach / mm:.4f}", "",
-             "[known.axis_half_range_mm]", *(f"{axis} = {half / mm:.1f}" for axis,
-                                             half in zip(AXES, setup.half_range, strict=True))]
+             "[known.axis_half_range_mm]", *half]
     for locator in setup.locators:
         lines += ["", "[[known.locators]]", f'id = "{locator.key}"', f"base_mm = {vector(locator.frames.base)}",
                   f"ball_in_part_mm = {vector(locator.ball_in_part)}"]

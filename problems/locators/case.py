@@ -1,8 +1,8 @@
 """Jobs of the locator problem: a case folder of scenario `locator_pose`, or a TOML job with the same tables.
 
-The table `measurements` has the columns pose, block, time_min, temp_C, kind ("axis" or "target"), item, v1_mm, v2_mm,
-v3_mm, dir1, dir2, dir3; an axis row holds the readings of one locator, a target row coordinates in the frame of the
-tracker.
+The table `measurements` has the columns pose, kind ("axis" or "target"), item, v1_mm, v2_mm, v3_mm and, where recorded,
+time_min, temp_C, block, dir1, dir2, dir3 and split; an axis row holds the readings of one locator, a target row
+coordinates in the frame of the tracker.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from problems.locators.pose_error import COMPONENT_UNITS, position_and_angles
 
 SCENARIO = "locator_pose"
 KINDS = ("axis", "target")
+POSE_PARTS = ("x", "y", "z", "alpha", "beta", "gamma")
 
 
 def from_job(job: Job) -> Problem:
@@ -50,10 +51,8 @@ def from_job(job: Job) -> Problem:
         problem = declare(setup, axes, targets, u_axis=u_axis, u_tracker=u_tracker)
     if job.problem != SCENARIO:         # a case is solved a thousand times and asks for no pose
         part = next(unknown for unknown in problem.unknowns if unknown.name == "part")
-        problem = problem.with_quantities(Quantity(
-            "pose", position_and_angles, part.each, unit=COMPONENT_UNITS, parts=("x", "y", "z", "alpha", "beta",
-                                                                                 "gamma"),
-            keys=part.keys))
+        problem = problem.with_quantities(
+            Quantity("pose", position_and_angles, part.each, unit=COMPONENT_UNITS, parts=POSE_PARTS, keys=part.keys))
     problem = problem.free(*job.options.texts("free", ()))
     if job.options.text("errors", "named", ("named", "functions")) == "named":
         return problem
@@ -96,14 +95,19 @@ def readings_of_kind(table: Table, kind: str, job: Job) -> Readings:
         raise InputError(f"{table.path}, row {strange[0][0]}, column 'kind': '{strange[0][1]}' is neither 'axis' nor "
                          f"'target'; "
                          "correct it")
-    reference = kelvin_from_celsius(job.known.number("reference_temperature_C", 20.0))
+    n = len(table)
+    difference = np.zeros(n)
+    if table.has("temp"):
+        reference = kelvin_from_celsius(job.known.number("reference_temperature_C", 20.0))
+        difference = table.number("temp", "temperature") - reference
     readings = Readings(
         pose=table.whole("pose"), item=np.asarray(table.text("item")),
         values=np.column_stack([table.number(name, "length") for name in ("v1", "v2", "v3")]),
-        approach=np.column_stack([table.number(name, "number") for name in ("dir1", "dir2", "dir3")]),
-        time=table.number("time", "time"), temperature_difference=table.number("temp", "temperature") - reference,
-        block=table.whole("block"), rows=table.row_numbers,
-        split=np.asarray(table.text("split")) if table.has("split") else np.full(len(table), "fit"))
+        approach=np.column_stack([table.number(name, "number") if table.has(name) else np.zeros(n)
+                                  for name in ("dir1", "dir2", "dir3")]),
+        time=table.number("time", "time") if table.has("time") else np.zeros(n), temperature_difference=difference,
+        block=table.whole("block") if table.has("block") else np.ones(n, dtype=int), rows=table.row_numbers,
+        split=np.asarray(table.text("split")) if table.has("split") else np.full(n, "fit"))
     chosen = readings.where(np.asarray(kinds) == kind)
     if kind == "target" and len(chosen.rows):
         chosen = replace(chosen, values=laser_tracker.polar_readings(chosen.values))

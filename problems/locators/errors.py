@@ -16,12 +16,10 @@ import numpy as np
 from calib.geometry import Transform, column, matrix
 
 AXES = ("x", "y", "z")
-SHIFTS = (*(f"d{axis}_{body}" for body in AXES for axis in AXES), "dq_x", "dq_y",
-          "dq_z")   # delta_i<axis>(<body>), delta q_i [m]
-TURNS = (*(f"e{axis}_{body}" for body in AXES for axis in AXES), "exy", "eyz",
-         "ezx")       # epsilon_i<axis>(<body>) [rad]
-BODY_OF = {f"{kind}{axis}_{body}": body for kind in "de" for body in AXES
-           for axis in AXES}   # whose travel an error belongs to
+# The names of table 1: delta_i<axis>(<body>) and delta q_i [m], epsilon_i<axis>(<body>) and squareness [rad].
+SHIFTS = (*(f"d{axis}_{body}" for body in AXES for axis in AXES), "dq_x", "dq_y", "dq_z")
+TURNS = (*(f"e{axis}_{body}" for body in AXES for axis in AXES), "exy", "eyz", "ezx")
+BODY_OF = {f"{kind}{axis}_{body}": body for kind in "de" for body in AXES for axis in AXES}
 
 
 @dataclass(frozen=True)

@@ -132,9 +132,10 @@ def combinations(fit: Linearisation, knowledge: Knowledge | None = None) -> tupl
         derivatives[columns[j]], derivatives[columns[others]] = 1.0, imitates[i] * size[j] / size[others]
         named = [j, *(others[k] for k in np.argsort(-np.abs(imitates[i])) if abs(imitates[i, k]) > NAMED)]
         unit = [fit.layout.unit(columns[k]) for k in named]
-        factor = [derivatives[columns[k]] * units.factor(u) / units.factor(unit[0]) for k,
-                  u in zip(named, unit, strict=True)]
-        found.append(Combination(tuple(zip([labels[k] for k in named], unit, factor, strict=True)), derivatives))
+        scale = np.array([units.factor(u) for u in unit])
+        factor = derivatives[columns[named]] * scale / scale[0]
+        members = tuple(zip((labels[k] for k in named), unit, factor.tolist(), strict=True))
+        found.append(Combination(members, derivatives))
     return tuple(found)
 
 
@@ -162,15 +163,15 @@ def _rank(label: str) -> int:
     return 3 if label.startswith(("positioning", "straightness")) else 4
 
 
-def balance(part_pose: Transform, give: Any, balls: Any) -> Any:
-    """Force and moment (6,) of ball joints that give way alike, per stiffness [m]; zero where the part is at rest.
+def balance(part_pose: Transform, give_a: Any, give_b: Any, give_c: Any, balls: Any) -> Any:
+    """Force and moment (6,) of three ball joints that give way alike, per stiffness; zero where the part is at rest.
 
-    part_pose: hall_from_part; give: (9,) [m], x, y, z of each joint in turn; balls: (3, 3) [m], centres in the part.
+    part_pose: hall_from_part; give_*: (3,) [m] of each joint; balls: (3, 3) [m], their centres in the part by rows.
+    Returns the force [m] and the moment [m m].
     """
-    gives = [give[3 * i:3 * i + 3] for i in range(3)]
     arms = [part_pose.turn(balls[i, :].T) for i in range(3)]
-    moment = sum(cross(arm, one) for arm, one in zip(arms, gives, strict=True))
-    return vertcat(sum(gives[1:], gives[0]), moment)
+    moments = [cross(arm, give) for arm, give in zip(arms, (give_a, give_b, give_c), strict=True)]
+    return vertcat(give_a + give_b + give_c, moments[0] + moments[1] + moments[2])
 
 
 def give_in_joints(problem: Problem, setup: Setup, u_give: float) -> Problem:
@@ -188,12 +189,9 @@ def give_in_joints(problem: Problem, setup: Setup, u_give: float) -> Problem:
     gives = [wider.parameters(joint) for joint in joints]
     balls = np.array([locator.ball_in_part for locator in setup.locators])
 
-    def at_rest(part_pose: Transform, a: Any, b: Any, c: Any, centres: Any) -> Any:
-        return balance(part_pose, vertcat(a, b, c), centres)
-    rest = Observations(at_rest, part.each, *(give.each for give in gives), Shared(balls),
-                        readings=np.zeros((part.count, 6)),
-                        u=RESTING, group="balance", unit="um", components=("x", "y", "z", "about x", "about y",
-                                                                           "about z"))
+    in_order = (give[[give.keys.index(key) for key in part.keys]] for give in gives)
+    rest = Observations(balance, part.each, *in_order, Shared(balls), readings=np.zeros((part.count, 6)), u=RESTING,
+                        group="balance", unit="um", components=("x", "y", "z", "about x", "about y", "about z"))
     return wider.with_observations(rest, *(prior(give, 0.0, u_give) for give in gives))
 
 

@@ -27,10 +27,10 @@ def motion_errors(travel: Any, half_range: Any, approach: Any, shifts: Any, turn
     y [m]. The slot of an error of body b hands on the travel of b (`along` [m]), its share of the half range
     (`fraction`) and the `direction` it was approached from; every slot hands on the reach.
     """
-    constants = {**{name: shifts[i] for i, name in enumerate(SHIFTS)}, **{name: turns[i] for i,
-                                                                          name in enumerate(TURNS)}}
+    constants = [*((name, shifts[i]) for i, name in enumerate(SHIFTS)), *((name, turns[i]) for i,
+                                                                          name in enumerate(TURNS))]
     through = {}
-    for name, value in constants.items():
+    for name, value in constants:
         quantities = {"reach": reach}
         if name in BODY_OF:
             i = AXES.index(BODY_OF[name])

@@ -1,7 +1,6 @@
 """A part on three locators in measured poses: axis readings, and targets of the part seen by a tracker.
 
-Unknown: the pose of the part for every pose and once the frame of the tracker. What the axes do wrong enters as
-effects.
+Unknown: the pose of the part every time and once the frame of the tracker. What the axes do wrong enters as effects.
 """
 
 from __future__ import annotations
@@ -75,10 +74,10 @@ class Readings:
     @staticmethod
     def plain(pose: ArrayLike, item: ArrayLike, values: ArrayLike) -> Readings:
         """Readings under constant conditions: no time, temperature, block or direction of approach."""
-        n = len(np.asarray(values))
-        return Readings(np.asarray(pose), np.asarray(item), np.asarray(values, dtype=float), np.zeros((n, 3)),
-                        np.zeros(n),
-                        np.zeros(n), np.ones(n, dtype=int), np.arange(1, n + 1), np.full(n, "fit"))
+        values = np.asarray(values, dtype=float)
+        none, n = np.zeros(len(values)), len(values)
+        return Readings(np.asarray(pose), np.asarray(item), values, np.zeros((n, 3)), none, none, np.ones(n, dtype=int),
+                        np.arange(1, n + 1), np.full(n, "fit"))
 
     def where(self, chosen: ArrayLike) -> Readings:
         """The chosen rows."""
@@ -88,8 +87,7 @@ class Readings:
     def covariates(self) -> dict[str, Any]:
         """Influences, by the names that effects ask for."""
         return {"time": (self.time, "s"), "temperature_difference": (self.temperature_difference, "K"),
-                "block": self.block,
-                "pose": self.pose, "split": self.split}
+                "block": self.block, "pose": self.pose, "split": self.split}
 
 
 def rigid_fit(points_in_b: ArrayLike, points_in_a: ArrayLike) -> Transform:
@@ -126,9 +124,8 @@ def declare(setup: Setup, axes: Readings, targets: Readings | None = None, *, u_
     _check(setup, axes, targets)
     poses = np.unique(axes.pose)
     start = start_poses(setup, axes, poses)
-    part_pose = Pose("part", np.stack([p.rotation for p in start]), np.stack([p.translation for p in start]), "mm",
-                     "arcsec",
-                     keys=poses)
+    part_pose = Pose("part", np.stack([one.rotation for one in start]), np.stack([one.translation for one in start]),
+                     "mm", "arcsec", keys=poses)
     observations = []
     for locator in setup.locators:
         read = setup.axes_of(locator.key)
@@ -150,8 +147,7 @@ def declare(setup: Setup, axes: Readings, targets: Readings | None = None, *, u_
 
 
 def _target_observations(setup: Setup, targets: Readings, part_pose: Pose, poses: np.ndarray,
-                         start: Sequence[Transform],
-                         u: ArrayLike) -> Observations:
+                         start: Sequence[Transform], u: ArrayLike) -> Observations:
     index = np.searchsorted(poses, targets.pose)
     in_part = np.array([setup.targets[key] for key in targets.item], dtype=float)
     in_hall = np.array([start[i] @ point for i, point in zip(index, in_part, strict=True)])
@@ -170,15 +166,14 @@ def _check(setup: Setup, axes: Readings, targets: Readings | None) -> None:
         strange = sorted(set(map(str, readings.item)) - set(known))
         if strange:
             raise InputError(f"readings of {kind} '{strange[0]}', which the setup does not know; it knows "
-                             f"{', '.join(known)}: "
-                             f"add the {kind} or mend its name.")
+                             f"{', '.join(known)}: add the {kind} or mend its name.")
     silent = [locator.key for locator in setup.locators
               if setup.axes_of(locator.key) and not np.any(axes.item == locator.key)]
     if silent:
         raise InputError(f"locator '{silent[0]}' has no axis readings; give them, or leave the locator out of the "
-                         f"setup.")
+                         "setup.")
     if targets is not None:
         lost = sorted(set(targets.pose.tolist()) - set(axes.pose.tolist()))
         if lost:
             raise InputError(f"pose {lost[0]} has target readings but no axis readings; give both or leave the pose "
-                             f"out.")
+                             "out.")

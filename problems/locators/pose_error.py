@@ -49,13 +49,12 @@ def declare(mechanism: Setup, part_pose: Transform, driven: Axes | None = None, 
     keys = [locator.key for locator in mechanism.locators]
     nominal = np.array([locator.ball_in_part for locator in mechanism.locators])
     n = 1 if shifts is None else len(np.asarray(shifts))
-    part = Pose("part", np.repeat(part_pose.rotation[None], n, 0), np.repeat(part_pose.translation[None], n, 0), "mm",
-                "deg")
+    part = Pose("part", part_pose.rotation, np.repeat(part_pose.translation[None], n, 0), "mm", "deg")
     held: tuple[Unknown, ...] = ()
     if shifts is None:
-        held = (Unknown("ball_in_part", nominal, "mm", AXES, keys), Unknown("shift", np.zeros((3, 12)), "mm", SHIFTS,
-                                                                            keys),
-                Unknown("turn", np.zeros((3, 12)), "deg", TURNS, keys))
+        held = (Unknown("ball_in_part", nominal, "mm", AXES, keys),
+                Unknown("shift", np.zeros((len(keys), len(SHIFTS))), "mm", SHIFTS, keys),
+                Unknown("turn", np.zeros((len(keys), len(TURNS))), "deg", TURNS, keys))
     observations = []
     for i, locator in enumerate(mechanism.locators):
         axes = tuple(driven.get(locator.key, ()))
@@ -67,8 +66,7 @@ def declare(mechanism: Setup, part_pose: Transform, driven: Axes | None = None, 
             readings_of(axes), part.each, errors[0], Shared(locator.frames.matrix), Shared(travel[i]),
             Shared(mechanism.half_range), Shared(np.zeros(3)), errors[1], errors[2],
             readings=np.repeat(travel[i][None, [AXES.index(a) for a in axes]], n, 0), u=1 * um,
-            group=f"drives {locator.key}",
-            unit="um", components=axes))
+            group=f"drives {locator.key}", unit="um", components=axes))
     # A thousand trials have a thousand poses; their derivatives with respect to each other nobody wants.
     where = [Quantity("pose", position_and_angles, part.each, unit=COMPONENT_UNITS, parts=COMPONENTS)] if held else []
     return Problem(observations, quantities=where, held=held, name="pose under drive")
@@ -96,12 +94,11 @@ class LinearForm:
     @property
     def seen(self) -> tuple[str, ...]:
         """The sources that move the part at all."""
-        size = np.abs(self.matrix * np.array([1, 1, 1, *[0.5] * 3])[:, None]).max(0)
-        return tuple(s for s, value in zip(self.sources, size, strict=True) if value > 1e-12)
+        return tuple(s for s, size in zip(self.sources, np.abs(self.matrix).max(0), strict=True) if size > 1e-12)
 
     @property
     def response(self) -> NDArray[np.float64]:
-        """The matrix (6, 81) with rows in mm and degrees per mm and per radian."""
+        """The matrix (6, 81) with rows in mm and degrees, columns per metre and per radian."""
         return self.matrix / IN_UNIT[:, None]
 
 
@@ -116,17 +113,17 @@ def linear_form(mechanism: Setup, part_pose: Transform, driven: Axes | None = No
 def form_of(fit: Linearisation) -> LinearForm:
     """The linear form in a linearisation of `declare`: how the free pose gives way to what is held."""
     layout = fit.layout
-    columns, sources = [], []
     by_name = {u.name: u for u in layout.unknowns}
+    column_of = {}
     for unknown, names in ((by_name["shift"], SHIFTS), (by_name["turn"], TURNS), (by_name["ball_in_part"], BALLS)):
-        columns += list(range(layout.size))[layout.span(unknown)]
-        sources += [f"{key}.{name}" for key in unknown.keys for name in names]
-    jacobian = fit.rows[0].toarray()
-    follows = -np.linalg.lstsq(jacobian, fit.held_columns(columns), rcond=None)[0]
+        span = layout.span(unknown)
+        sources = (f"{key}.{name}" for key in unknown.keys for name in names)
+        column_of.update(zip(sources, range(span.start, span.stop), strict=True))
+    ordered = tuple(f"{key}.{name}" for key in by_name["shift"].keys for name in SOURCES)
+    columns = [column_of[source] for source in ordered]
+    follows = -np.linalg.lstsq(fit.rows[0].toarray(), fit.held_columns(columns), rcond=None)[0]
     pose = fit.functions("pose").derivatives
-    matrix = fit.free_part(pose) @ follows + pose[:, columns]
-    order = sorted(range(len(sources)), key=lambda j: (sources[j][0], SOURCES.index(sources[j][2:])))
-    return LinearForm(matrix[:, order], tuple(sources[j] for j in order))
+    return LinearForm(fit.free_part(pose) @ follows + pose[:, columns], ordered)
 
 
 def conditioning(mechanism: Setup, part_pose: Transform) -> dict[tuple[int, ...], float]:

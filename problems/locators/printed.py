@@ -16,11 +16,11 @@ from calib import solve
 from calib.geometry import Transform
 from calib.units import arcsec, factor, mm
 from calib.workflow.reproduce import Item, Printed, Reproduction
-from problems.locators import paper, sensitivity, spread
+from problems.locators import figures, paper, sensitivity, spread
 from problems.locators.errors import AXES
 from problems.locators.measured import Setup
 from problems.locators.pose_error import COMPONENT_UNITS, COMPONENTS, LinearForm, choice, conditioning, linear_form
-from problems.locators.trials import draw, normality
+from problems.locators.trials import Trials, draw, normality
 
 SEED = 20100306
 COVERAGE_95 = 1.959963984540054
@@ -28,8 +28,8 @@ LONG = 100.0               # lever arm [mm] with which an angle counts
 WELL = 100.0               # condition number below which six axes determine the pose
 SEARCHED = {name: (0.1, 3.0) if name.startswith("guide") else (0.02, 1.0) for name in spread.LENGTHS}     # [m]
 NOT_PRINTED = ("the guide lengths, strokes and mounting edges that the tolerances of table 4 refer to and the "
-               "tolerance of the "
-               "ball centres are not printed")
+               "tolerance "
+               "of the ball centres are not printed")
 
 
 def reproduce() -> Reproduction:
@@ -38,20 +38,21 @@ def reproduce() -> Reproduction:
     form = linear_form(mechanism, poses["target"], paper.DRIVEN)
     assumed = spread_study(mechanism, poses["target"], form)
     items = [*table_3(mechanism, poses), *table_6(assumed), *section_4(mechanism, poses, form)]
-    strokes = paper.strokes(mechanism, poses["target"])
+    found = sensitivity.sensitivities(form, paper.strokes(mechanism, poses["target"]))
     studies = {"table_6": assumed.study, "driving_choices": driving_choices(mechanism, poses, assumed.half_widths),
-               "sensitivities_with_strokes_of_table_3": sensitivity.table(sensitivity.sensitivities(form, strokes))}
-    return Reproduction("locators", tuple(items), studies=studies)
+               "sensitivities_with_strokes_of_table_3": sensitivity.table(found)}
+    return Reproduction("locators", tuple(items), studies=studies, figures=figures.of(assumed.trials, found))
 
 
 @dataclass(frozen=True)
 class Assumed:
-    """Table 6 under the first of the named assumptions: sigmas and means (6,) [mm, deg], half widths; study."""
+    """Table 6 under the first of the named assumptions: sigmas and means (6,) [mm, deg], half widths, trials, study."""
 
     name: str
     sigmas: NDArray[np.float64]
     means: NDArray[np.float64]
     half_widths: NDArray[np.float64]
+    trials: Trials
     study: dict[str, Any]
 
 
@@ -76,12 +77,12 @@ def spread_study(mechanism: Setup, target: Transform, form: LinearForm) -> Assum
     study = {
         "without lengths": spread.control_point_sigmas(form), "assumptions": rows,
         "ranges [mm] of each length by itself, ball tolerance too": ranges,
-        "searched [mm]": {k: [v[0] / mm, v[1] / mm] for k, v in SEARCHED.items()}, "seed": SEED,
-        "samples": spread.SAMPLES,
+        "searched [mm]": {k: [v[0] / mm, v[1] / mm] for k, v in SEARCHED.items()},
+        "seed": SEED, "samples": spread.SAMPLES,
         "nearly normal, under the first assumption": shapes, "sigmas of the exact model [mm, deg]": trials.sigmas,
         "largest departure of the linear form [mm, deg]": np.abs(trials.exact - trials.linear).max(0)}
     return Assumed(assumption.name, spread.component_sigmas(form, tolerances, assumption, estimate), trials.means,
-                   widths, study)
+                   widths, trials, study)
 
 
 def relative_u() -> NDArray[np.float64]:
@@ -101,10 +102,9 @@ def table_3(mechanism: Setup, poses: dict[str, Transform]) -> list[Item]:
         why = ""
         if abs(low) > printed.half_digit:
             why = (f"printed one last digit low: tables 2 and 5 give {value:.5f}, which rounds to {value:.3f}; it is "
-                   f"printed as if "
-                   "cut off, but y_A and z_B are not; no rounding of the rotation matrix or of the angles explains "
-                   "all nine "
-                   "strokes (r_i changed by some 0.01 mm would)")
+                   "printed as if cut off, but y_A and z_B are not; no rounding of the rotation matrix or of the "
+                   "angles "
+                   "explains all nine strokes (r_i changed by some 0.01 mm would)")
         items.append(Item(key, f"stroke of axis {axis} of locator {locator}", "mm", printed, value=value, why=why))
     return items
 
@@ -117,12 +117,12 @@ def table_6(assumed: Assumed) -> list[Item]:
         sigma = printed[f"T6_{component}_sigma"].number
         items.append(Item(
             f"T6_{component}_mean", f"mean of {component} over {spread.SAMPLES} samples", unit,
-            printed[f"T6_{component}_mean"],
-            value=assumed.means[i], sampling=COVERAGE_95 * sigma / np.sqrt(spread.SAMPLES),
+            printed[f"T6_{component}_mean"], value=assumed.means[i],
+            sampling=COVERAGE_95 * sigma / np.sqrt(spread.SAMPLES),
             why="errors uniform about zero leave no mean in a linear model, whatever the lengths; the value is what "
-                "the exact model "
-                f"adds under the assumption '{assumed.name}', compared within the sampling interval of the printed "
-                f"sigma"))
+                "the "
+                f"exact model adds under the assumption '{assumed.name}', compared within the sampling interval of the "
+                "printed sigma"))
         for statistic, times in (("sigma", 1.0), ("three_sigma", 3.0)):
             under = times * assumed.sigmas[i]
             why = (f"{NOT_PRINTED}. Under the assumption '{assumed.name}', fitted to the six sigmas, it is "
@@ -169,8 +169,7 @@ def section_4(mechanism: Setup, poses: dict[str, Transform], form: LinearForm) -
              Printed("strict control of parallelism and squareness is needed", 6.0, 0.5),
              value=int(np.sum(levers > LONG)), printed_text="strict control of parallelism and squareness is needed",
              why=f"angles act on {moved}; the lever arms on the other components are at most {short:.1f} mm, the "
-                 f"strokes "
-                 "of table 3, so only positioning, straightness and the balls matter there")]
+                 "strokes of table 3, so only positioning, straightness and the balls matter there")]
     return items
 
 

@@ -1,5 +1,4 @@
-"""Spread of the pose error from the tolerances of table 4 (section 3, table 6): which lengths would give the printed
-sigmas.
+"""Spread of the pose error from the tolerances of table 4: which lengths would give the printed sigmas of table 6.
 
 The tolerances of angles are printed "per full guide length", "per stroke", but no length is printed. The variance of
 each component of the pose error is affine in the inverse squares of these lengths, so the search for them is a declared
@@ -58,8 +57,7 @@ ALL_LENGTHS = Assumption("every length by itself", groups=tuple((length,) for le
 def scale_of(source: str, tolerances: dict[str, float], assumption: Assumption) -> tuple[float, str | None]:
     """Half width of one source: tolerance [m] and the length it is divided by (None for a length error).
 
-    source: "A.ey_x"; tolerances: of table 4 [m]. The half width of a ball error is one, times the unknown ball
-    tolerance.
+    source: "A.ey_x"; tolerances: of table 4 [m]. A ball error has one, to be multiplied by the unknown ball tolerance.
     """
     name = source.split(".")[1]
     if name[:2] in ("dq", "dr"):
@@ -109,8 +107,7 @@ def printed_sigmas() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def control_point_sigmas(form: LinearForm) -> dict[str, Any]:
     """What table 6 says without any length: standard deviations of a ball along x, y and z, the same at every locator.
 
-    form: linear form of the pose error. Three numbers for six sigmas; returns them with v'Pv and its degrees of
-    freedom.
+    form: linear form of the pose error. Three numbers for six sigmas; returns them with v'Pv and its freedom.
     """
     sigma, u = printed_sigmas()
     by_axis = np.array([sum(form.column(f"{key}.d{axis}_x") ** 2 for key in "ABC") for axis in AXES]).T

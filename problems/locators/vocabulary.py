@@ -1,7 +1,6 @@
 """What may be wrong with locators, hall and tracker: the named effects of the locator problem.
 
-Every effect of a locator acts through one of the errors of table 1, so its lever arms are those of the multi-body
-model.
+Every effect of a locator acts through an error of table 1, so its lever arms are those of the multi-body model.
 The recipes are made once (`cache`), so that models with the same effects are traced once.
 Source: Li Chen, Fang Qiang, Li Jiangxiong 2010, section 2.1.
 """
@@ -63,13 +62,12 @@ def locator_effects(locator: str) -> tuple[Effect, ...]:
 
 @cache
 def hall_effects() -> tuple[Effect, ...]:
-    """Effects common to all locators: thermal growth of base and guides, and sag of body Y that grows with its reach.
-    """
+    """Effects common to all locators: thermal growth of base and guides, sag of body Y that grows with its reach."""
+    def growth(value: Any, p: Any, nominal: Any, temperature_difference: Any) -> Any:
+        return p.coef * temperature_difference * nominal
     return (
-        Effect("thermal", "ball_point", lambda value, p, nominal, temperature_difference: p.coef
-               * temperature_difference * nominal,
-               (Parameter("coef", "ppm/K", (1 * ppm, 50 * ppm)),), "base", source="expansion of base and guides; "
-                                                                                  "steel 11.5 ppm/K"),
+        Effect("thermal", "ball_point", growth, (Parameter("coef", "ppm/K", (1 * ppm, 50 * ppm)),), "base",
+               source="expansion of base and guides; steel 11.5 ppm/K"),
         Effect("gravity_sag", "dz_y", lambda value, p, reach: -p.k * reach,
                (Parameter("k", "um/m", (5e-6, 2e-3)),), "all", source="bending under the weight of the part"))
 
@@ -102,14 +100,13 @@ def error_functions(locator: str) -> tuple[Effect, ...]:
     length, angle = (1 * um, 500 * um), (2 * arcsec, 300 * arcsec)
 
     def error(slot: str) -> Effect:
+        words = ERROR_WORDS[slot]
         if slot in ("exy", "eyz", "ezx"):
-            return Effect(ERROR_WORDS[slot], slot, lambda value, p: p.constant,
-                          (Parameter("constant", "arcsec", angle),))
+            return Effect(words, slot, lambda value, p: p.constant, (Parameter("constant", "arcsec", angle),))
         if slot[0] == "e":
-            return Effect(ERROR_WORDS[slot], slot, lambda value, p, fraction: p.constant + p.slope * fraction,
+            return Effect(words, slot, lambda value, p, fraction: p.constant + p.slope * fraction,
                           tuple(Parameter(name, "arcsec", angle) for name in ("constant", "slope")))
-        return Effect(ERROR_WORDS[slot], slot, lambda value, p, fraction: p.constant + p.slope * fraction + p.bow
-                      * fraction ** 2,
+        return Effect(words, slot, lambda value, p, fraction: p.constant + fraction * (p.slope + fraction * p.bow),
                       tuple(Parameter(name, "um", length) for name in ("constant", "slope", "bow")))
     return tuple(replace(error(slot), channel=locator, groups=(axis_group(locator),), source=SOURCE)
                  for slot in ERROR_WORDS)
