@@ -31,7 +31,7 @@ from calib import (
     simulate,
 )
 from calib.errors import InputError
-from calib.geometry import norm
+from calib.geometry import dot, norm
 from calib.job import Job
 from calib.units import mm, nm, um
 from calib.unknown import Selection
@@ -84,6 +84,11 @@ def excess_at_zero(base_point: Any, start_length: Any, zero_point: Any) -> Any:
 def reading_at(base_point: Any, start_length: Any, zero_point: Any, sense: Any) -> Any:
     """Reading [m] that the tracker would show with the reflector at a point (3,)."""
     return sense * excess_at_zero(base_point, start_length, zero_point)
+
+
+def difference_of_squares(base_point: Any, start_length: Any, bracket: Any, target: Any, change: Any) -> Any:
+    """|P|^2 - d^2 [m^2] for a path that changed by d since its zero: affine in B, L0 and the bracket |B|^2 - L0^2."""
+    return 2 * dot(target, base_point) + 2 * start_length * change - bracket
 
 
 def beside_the_line(start_length: Any, cos_angle: Any) -> Any:
@@ -301,6 +306,40 @@ def from_job(job: Job) -> Problem:
                       options.quantity("base_point", "length", None))
     middle, half = (lines.points.max(axis=0) + lines.points.min(axis=0)) / 2, np.ptp(lines.points, axis=0) / 2
     return with_recorded_effects(problem, lines, middle, np.where(half > 0, half, 1.0))
+
+
+def formulations(job: Job) -> dict[str, Problem]:
+    """Other ways to put the same readings: start free or tied, and, for one tracker, the linear difference of squares.
+
+    The linear one leaves out that its bracket is |B|^2 - L0^2, and takes the readings on its left side as exact; a
+    coordinate in which the targets do not differ is held at zero there.
+    """
+    problem = from_job(job)
+    found = {"start free": problem}
+    if "lines" in job.known:
+        lines, sense = base_point_lines.of_case(job), LENGTHENING
+    else:
+        lines, sense = base_point_lines.of_job(job), COUNTS[job.instrument("lines").text("counts", among=tuple(COUNTS))]
+        zero_point = tuple(job.options.quantity("start_point", "length", (0.0, 0.0, 0.0)))
+        found = {"start free": declare(lines, FreeStart(zero_point), sense=sense),
+                 "start tied": declare(lines, TiedStart(zero_point), sense=sense)}
+    if len(np.unique(lines.tracker)) == len(np.unique(lines.zeroing)) == 1:
+        found["difference of squares"] = linear(lines, sense, problem)
+    return found
+
+
+def linear(lines: Lines, sense: float, about: Problem) -> Problem:
+    """The difference of squares of one tracker since one zeroing; about: the declared problem, for the weights."""
+    change = sense * lines.readings
+    path = np.linalg.norm(lines.points - about.select("base_point").unknown.ambient[0], axis=1)
+    base_point = Unknown("base_point", [0.0, 0.0, 0.0], "mm", ("x", "y", "z"))
+    start_length, bracket = Unknown("start_length", 0.0, "mm"), Unknown("bracket", 0.0, "mm^2")
+    squares = Observations(difference_of_squares, base_point, start_length, bracket, lines.points, change, unit="mm^2",
+                           readings=np.sum(lines.points**2, axis=1) - change**2, u=2 * path * lines.u, group="squares",
+                           rows=lines.rows)
+    flat = [axis for axis, extent in zip(base_point.parts, np.ptp(lines.points, axis=0), strict=True) if extent == 0.0]
+    return Problem([squares], quantities=[Quantity("dead_path", coordinate, start_length, unit="mm")],
+                   held=[base_point.part(*flat)] if flat else [], name="base point by differences of squares")
 
 
 def remarks(job: Job) -> tuple[str, ...]:

@@ -233,7 +233,7 @@ def reproduce() -> Reproduction:
     experimental = _experiment_items(printed, tied, free, Result.of("d_printed", TiedStart(ZERO_POINT)))
     items = {item.key: item for item in (*experimental, *_simulation_items(printed), *_layout_items(printed))}
     return Reproduction(published, tuple(items[key] for key in printed), studies=_studies(free),
-                        figures={"Residuals of table 2: start tied to the zero point, and free": _residuals(tied, free)})
+                        figures={"Residuals of table 2: start tied, and free": _residuals(tied, free)})
 
 
 def _residuals(tied: Result, free: Result) -> Callable[[], Any]:

@@ -6,6 +6,7 @@ import pytest
 import calib
 from calib.errors import InputError, RankDefect
 from calib.job import Job
+from calib.solve.convex import Convex
 from calib.table import shipped
 from calib.units import hour, mm, nm, ppm, um, urad
 from problems import algebraic_base_point, base_point, base_point_published
@@ -360,6 +361,16 @@ def test_coordinates_with_uncertainty_need_an_instrument(tmp_path):
 def test_bad_input_is_named(tmp_path, old, new, message):
     with pytest.raises(InputError, match=message):
         base_point.from_job(job_in(tmp_path, replace={old: new}))
+
+
+def test_the_formulations_of_a_job_agree_where_they_say_the_same(tmp_path):
+    found = base_point.formulations(job_in(tmp_path))
+    free, tied, squares = (calib.solve(found[name]) for name in ("start free", "start tied", "difference of squares"))
+    u = calib.covariance(calib.linearise(free), "base_point").u
+    convex = calib.solve(found["difference of squares"], Convex())
+    assert np.abs((squares["base_point"] - free["base_point"]) / u)[:2].max() < 0.01       # z is not in the linear one
+    assert np.abs((squares["base_point"] - convex["base_point"]) / u)[:2].max() < 1e-6
+    assert np.abs((tied["base_point"] - free["base_point"]) / u).max() < 4.5 and tied.dof == free.dof + 1
 
 
 CASE = """format = 1

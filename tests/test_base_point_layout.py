@@ -88,8 +88,8 @@ def test_with_the_start_tied_the_best_foot_is_not_in_the_middle_and_with_a_free_
              for foot in feet]
         best[name] = feet[int(np.argmin(u))]
         if name == "tied":
-            assert min(u) == pytest.approx(0.28 * um, abs=0.005 * um)
-    assert best["tied"] == pytest.approx(0.49, abs=0.02) and best["free"] == pytest.approx(0.77, abs=0.011)
+            assert min(u) == pytest.approx(0.278 * um, abs=0.001 * um)
+    assert best["tied"] == pytest.approx(0.48, abs=0.011) and best["free"] == pytest.approx(0.77, abs=0.011)
 
 
 def test_equation_1_and_the_planar_calibration_tied_to_its_zero_are_one_model():
