@@ -251,7 +251,8 @@ def from_job(job: Job) -> Problem:
     if data.has("face"):
         face = data.whole("face")
         for row in np.flatnonzero((face != 1) & (face != 2)):
-            raise InputError(f"{data.place(int(row), data.column('face'))}: face {face[row]} is neither 1 nor 2; correct it")
+            place = data.place(int(row), data.column("face"))
+            raise InputError(f"{place}: face {face[row]} is neither 1 nor 2; correct it")
         face = np.where(face == 1, 1.0, -1.0)
     problem = declare(
         np.stack([data.number("H", "angle"), data.number("V", "angle")], axis=1), data.text("target"),
@@ -310,7 +311,7 @@ def example(seed: int) -> Problem:
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job with simulated readings: {file name: text}. seed: of the noise."""
     observations = example(seed).observations[0]
-    known = {a.name: a.data[:, 0] for a in observations.arguments if a.data is not None}
+    known = {a.name: a.data[:, 0] for a in observations.arguments if a.unknown is None}
     c = observations.covariates
     lines = [
         "# source: simulated, three targets over half a turn, both faces, two set-ups",

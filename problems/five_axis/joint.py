@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from calib import Observations, Problem, Quantity, Shared, Unknown, prior
+from calib.observations import Prior
 from calib.units import arcsec, degree, mm
 from instruments import theodolite
 from instruments.stated import rectangular
@@ -103,8 +104,9 @@ def declare(readings: Readings, sharing: Sharing) -> Problem:
     still, angle = Shared(np.zeros(2)), Shared(0.0)
     if r.centre:
         values = np.array([c[:2] for c in r.centre.values()])
+        # their readings are not known, so they are prior knowledge with a stated u and take no variance component
         observations.append(
-            Observations(
+            Prior(
                 world.on_target, *sight(np.array(list(r.centre))), still, still, angle, zero[0], index, standing[0],
                 readings=values, u=np.array([[c[2]] * 2 for c in r.centre.values()]), group="printed centres",
                 unit="arcsec", components=("H", "V"), period=theodolite.PERIOD)
