@@ -30,7 +30,9 @@ def head_reading(angle: Any, head: Any, zero: Any, sense: Any, *, disc_angle: An
     `encoder_reading`.
     Returns zero + sense angle, not reduced to one turn [rad]. Opposite heads see an eccentricity with opposite signs.
     """
-    return encoder_reading(zero + sense * (disc_angle(angle + head, angle=angle, head=head) - head), angle=angle)
+    place = angle + head
+    error = disc_angle(place, angle=angle, head=head) - place
+    return encoder_reading(zero + sense * (angle + error), angle=angle)
 
 
 @hands_slots_to(head_reading)
