@@ -114,7 +114,7 @@ def solved(job: Job, module: ModuleType, method: Method) -> Solution:
         including=including,
         including_refused=why,
         remarks=tuple(module.remarks(job)) if hasattr(module, "remarks") else (),
-        advice=tuple(module.advice(estimate)) if hasattr(module, "advice") else (),
+        advice=tuple(module.advice(fit)) if hasattr(module, "advice") else (),
         named_by_key=tuple(getattr(module, "named_by_key", ())),
     )
 
