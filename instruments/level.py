@@ -16,7 +16,7 @@ from calib.units import arcsec, degree, hour, minute
 
 from . import influence, stated
 
-GUIDE = "ISO 230-1:2012 (levels as measuring instruments); magnitudes: JJG 103-2005, verification of electronic levels"
+GUIDE = "ISO 230-1:2012, test code for machine tools: precision levels; magnitudes: bench experience"
 
 
 def indication(inclination: Any, zero: Any, *, tilt: Any = direct, reading: Any = direct) -> Any:
@@ -50,7 +50,7 @@ def stated_uncertainty(limit_fixed: float, limit_share: float, reading: np.ndarr
     limit_fixed [rad], limit_share [1]: limit of error of the indication, taken as rectangular because nothing but the
     limit is known; reading: (n,) [rad]; resolution: last digit [rad]. Returns the lines `limit of error` and
     `resolution` [rad].
-    Source: JCGM 100:2008, 4.3.7 (rectangular); limits of this form: JJG 103-2005.
+    Source: JCGM 100:2008, 4.3.7 and F.2.2.1.
     """
     return stated.Lines({"limit of error": stated.rectangular(limit_fixed + limit_share * np.abs(reading)),
                          "resolution": stated.resolution(resolution)})
