@@ -29,7 +29,7 @@ from calib import (
     simulate,
 )
 from calib.geometry import cross, dot, unit
-from calib.units import arcsec, degree, hour, mm, um
+from calib.units import arcsec, degree, hour, minute, mm, um
 from instruments import influence, laser_tracker
 from problems import algebraic_circle, pairwise_circle
 from problems.algebraic_circle import SpaceCircle
@@ -190,9 +190,9 @@ def example_points(seed: int) -> tuple[Array, Array]:
 
 
 def example(seed: int) -> Problem:
-    """The circle of `example_points` with its covariances."""
+    """The circle of `example_points` with its covariances, one point every two minutes."""
     points, covariance = example_points(seed)
-    return declare(points, Gaussian.matrix(covariance))
+    return declare(points, Gaussian.matrix(covariance), covariates={"time": (np.arange(13) * 2.0 * minute, "min")})
 
 
 def example_job(seed: int) -> dict[str, str]:
