@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from calib import covariance, estimability, linearise, solve
+from calib import covariance, estimability, linearise, predict, solve
 from calib.job import Job
 from problems import locators
 from problems.locators import campaign
 from problems.locators.identification import (
     Knowledge,
+    balance,
     combinations,
     functions_in,
+    give_in_joints,
     identified,
     identify,
     leaders_only,
@@ -30,6 +33,7 @@ from problems.locators.vocabulary import error_functions
 KNOWLEDGE = Knowledge()
 FUNCTIONS = [function for key in "ABC" for function in error_functions(key)]
 CHECKS = 12
+DRIVEN_ERRORS = {"scale (A.x)": 2e-4, "squareness (B.xy)": 3e-4}
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +140,33 @@ def test_identified_errors_bring_poses_that_were_held_out_nearer_to_the_truth_bu
     assert nine[1] < six[1] < 0.75 * alone[1]
 
 
+def test_joints_at_rest_balance_in_the_pose_nearest_to_all_nine_axes(driven):
+    setup = driven.setup
+    problem = declare(setup, driven.axes, None)
+    predicted = predict(problem, {"part": list(driven.part), **DRIVEN_ERRORS})
+    part_pose = driven.part[0]
+    gives = [(o.readings - predicted[o.group])[0] for o in problem.observations]
+    balls = np.array([locator.ball_in_part for locator in setup.locators])
+    rest = np.array(ca.DM(balance(part_pose, *(ca.DM(give) for give in gives), ca.DM(balls)))).ravel()
+    assert np.abs(rest).max() < 1e-12 < 1e-6 < np.abs(gives).max()
+
+
+@pytest.fixture(scope="module")
+def driven():
+    """Nine driven axes whose only errors are a scale and a squareness: nominal travels are read, the part gives way."""
+    return campaign.drive(campaign.drawn_poses(20 + CHECKS, 2), 4, DRIVEN_ERRORS, checks=CHECKS)
+
+
+def test_errors_of_nine_driven_axes_are_found_where_the_joints_may_give_way(driven):
+    axes, targets = (readings.where(readings.split == "fit") for readings in (driven.axes, driven.targets))
+    problem = declare(driven.setup, axes, targets, u_axis=1e-6, u_tracker=campaign.U_TRACKER)
+    names, true = list(DRIVEN_ERRORS), np.array(list(DRIVEN_ERRORS.values()))
+    stiff = covariance(linearise(solve(problem.free(*names))), *names)
+    giving = covariance(linearise(solve(give_in_joints(problem, driven.setup, 40e-6).free(*names))), *names)
+    assert np.abs((giving.values - true) / giving.u).max() < 4
+    assert np.abs((stiff.values - true) / stiff.u).max() > 10
+
+
 def test_encoders_alone_see_fewer_combinations(measured, floating):
     found = combinations(linearise(scheme(measured, "encoders alone")[1]), KNOWLEDGE)
     assert 0 < len(found) < 0.75 * len(floating[2])
@@ -159,3 +190,16 @@ def test_a_job_can_ask_for_all_errors_as_functions_and_for_some_axes_only(tmp_pa
     assert read == [("x", "y", "z"), ("y", "z"), ("z",)]
     estimate = solve(problem)
     assert estimate.certificate.passed and estimate.p_value > 1e-3
+
+
+@pytest.mark.slow
+def test_ninety_five_percent_intervals_of_a_named_effect_cover_ninety_five_percent():
+    covered, count = 0, 50
+    for seed in range(count):
+        size = np.random.default_rng([seed, 3]).normal(0.0, 3e-4)
+        measured = campaign.measure(campaign.drawn_poses(8, seed), seed, {"squareness (A.xy)": size})
+        problem = declare(measured.setup, measured.axes, measured.targets, u_axis=campaign.U_AXIS,
+                          u_tracker=campaign.U_TRACKER)
+        found = covariance(linearise(solve(problem.free("squareness (A.xy)"))), "squareness (A.xy)")
+        covered += abs(found.values[0] - size) < 1.96 * found.u[0]
+    assert 43 <= covered <= 50              # binomial: 42 or fewer of 50 has a probability of 0.3 %

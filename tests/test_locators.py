@@ -9,9 +9,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from calib import covariance, linearise, predict, solve
+from calib import GaussNewton, covariance, linearise, predict, solve
 from calib.errors import CalibrationError, InputError, RankDefect
 from calib.job import Job
+from calib.solve.convex import Convex
+from calib.solve.ipopt import Ipopt
 from calib.units import arcsec, hour, ppm, um
 from problems import locators
 from problems.locators import campaign, paper, sensitivity, spread, trials
@@ -173,6 +175,15 @@ def test_no_length_gives_table_6_unless_the_balls_have_an_error_too():
     assert spread.length_ranges(FORM, TOLERANCES, free, within, ball=(0.0, 0.1 * um)) is None
 
 
+@pytest.mark.parametrize("assumption", spread.ASSUMPTIONS[:4], ids=lambda a: a.name)
+def test_all_methods_agree_on_the_lengths(assumption):
+    problem = spread.declare(FORM, TOLERANCES, assumption)
+    estimates = [solve(problem, method) for method in (GaussNewton(), Ipopt(), Convex())]
+    u = covariance(linearise(estimates[0]), "inverse square").u
+    for other in estimates[1:]:
+        assert other["inverse square"] == pytest.approx(estimates[0]["inverse square"], rel=0, abs=1e-8 * u.min())
+
+
 def test_a_length_on_its_own_cannot_be_told_from_the_others():
     several = spread.Assumption("guides and strokes", groups=(spread.LENGTHS[:3], spread.LENGTHS[3:]))
     fit = linearise(spread.declare(FORM, TOLERANCES, several), {"inverse square": [8.0, 8.0]})
@@ -209,6 +220,12 @@ def test_every_number_that_is_asked_for_has_an_item_with_a_verdict(reproduction)
     for component, statistic in product(COMPONENTS, ("sigma", "three_sigma")):
         item = reproduction[f"T6_{component}_{statistic}"]
         assert item.verdict == "not determinable" and "guide lengths" in item.why and "assumption" in item.why
+
+
+def test_the_figures_of_the_paper_are_drawn_anew(reproduction):
+    histograms, bars = (draw() for draw in reproduction.figures.values())
+    assert len(histograms.axes) == 6
+    assert [sum(len(bunch) for bunch in axes.containers) for axes in bars.axes] == [48, 48]
 
 
 # --- measured poses --------------------------------------------------------------------------------------------------

@@ -68,7 +68,7 @@ def measure(part: Sequence[Transform], seed: int, truth: Mapping[str, ArrayLike]
 
 def drive(commanded: Sequence[Transform], seed: int, truth: Mapping[str, ArrayLike], *, setup: Setup = HALL,
           further: Sequence[Effect] = (), checks: int = 0) -> Campaign:
-    """All nine axes driven to the nominal travels of commanded poses, and the tracker's readings of where the part went.
+    """All nine axes driven to the nominal travels of commanded poses, and what the tracker then reads on the part.
 
     Joints that give way alike let the part take the pose nearest to all nine; the axes read the travels without noise.
     Arguments as for `measure`, commanded poses in the place of true ones. The part of the campaign is where it went.

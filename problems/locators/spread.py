@@ -137,8 +137,8 @@ def declare(form: LinearForm, tolerances: dict[str, float], assumption: Assumpti
     inverse_square = Unknown("inverse square", np.full(len(names), 10.0), "1/m^2", names, lower=0.0)
     ball_square = Unknown("square of the ball tolerance", 2.5e-11 if assumption.ball else 0.0, "um^2", lower=0.0)
     observations = Observations(relative_variance, known, by_length, by_ball, inverse_square, ball_square,
-                                readings=np.ones(6),
-                                u=2 * u / sigma, group="table 6", covariates={"component": np.array(COMPONENTS)})
+                                readings=np.ones(6), u=2 * u / sigma, group="table 6",
+                                covariates={"component": np.array(COMPONENTS)})
     quantities = [Quantity("length", lambda squares: [1 / sqrt(squares[i]) for i in range(len(names))], inverse_square,
                            unit="mm", parts=names)]
     if assumption.ball:
