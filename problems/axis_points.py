@@ -232,6 +232,15 @@ def from_job(job: Job) -> Problem:
     [options] shared lists the targets whose circles share r and phase (all if not given), u_distance.
     Raises InputError where something is missing.
     """
+    return _from_job(job, job.options.texts("shared", None))
+
+
+def formulations(job: Job) -> dict[str, Problem]:
+    """The same readings with the circles of every target sharing r and phase, and each circle by itself (eq 6, 7)."""
+    return {"both circles share r and phase": _from_job(job, None), "each circle by itself": _from_job(job, ())}
+
+
+def _from_job(job: Job, shared: Collection[str] | None) -> Problem:
     case = "measurements" in job.tables
     data = job.table("measurements" if case else "circles")
     instrument = job.instruments.table("theodolite") if case else job.instrument("circles")
@@ -259,7 +268,7 @@ def from_job(job: Job) -> Problem:
         data.number("angle", "angle"), distance={key: one.quantity("L", "length") for key, one in targets.items()},
         elevation={key: one.quantity("elevation", "angle", 0.0) for key, one in targets.items()},
         u=[instrument.quantity(f"{stated}_{circle}", "angle") for circle in "HV"], face=face,
-        shared=job.options.texts("shared", None), u_distance=job.options.quantity("u_distance", "length", 0.0),
+        shared=shared, u_distance=job.options.quantity("u_distance", "length", 0.0),
         covariates=covariates, rows=data.row_numbers)
     blocks = sorted(set(covariates.get("block", [])))[1:]
     return problem.with_effects(*_usable(effects(blocks), problem))

@@ -1,5 +1,4 @@
-"""Five-axis simulator: plumb, perpendicularity, intersection and alignment of its axes from a level and two
-theodolites.
+"""Five-axis simulator: plumb, squareness, intersection and alignment of its axes from a level and two theodolites.
 
 The paper's procedure step by step (`step_by_step`) and all of its readings as one world (`joint`); `reproduce` compares
 both with every printed number.
@@ -10,9 +9,9 @@ Source: Ren Shunqing, Gao Kang, Zhao Hongbo, J. Harbin Inst. Tech. 47(10), 2015,
 from .adjustment import advice
 from .comparison import NAME as published
 from .comparison import reproduce
-from .jobs import accepts, columns, declare, effects, example, example_job, from_job, options
+from .jobs import accepts, columns, declare, effects, example, example_job, formulations, from_job, options, remarks
 
 source = "Ren, Gao, Zhao (2015), J. Harbin Inst. Tech. 47(10), 1-6"
 __all__ = [
-    "accepts", "advice", "columns", "declare", "effects", "example", "example_job", "from_job", "options",
-    "published", "reproduce", "source"]
+    "accepts", "advice", "columns", "declare", "effects", "example", "example_job", "formulations", "from_job",
+    "options", "published", "remarks", "reproduce", "source"]

@@ -44,14 +44,43 @@ def from_job(job: Job) -> Problem:
     of one level reading and of one circle reading.
     Raises InputError where a table, a column or a target is missing.
     """
-    index = (job.options.quantity("index", "angle", 90 * degree), job.options.quantity("u_index", "angle", 1 * arcsec))
-    u_level, u_circle = (job.instrument(table).uncertainty("u", "angle")[0] for table in ("level", "pitch"))
-    readings = from_tables(job.tables, index=index, u_level=u_level, u_circle=u_circle)
+    readings, up = _readings(job), _up(job)
     shared = job.options.text("shared", "tested", ("tested", "all", "none"))
-    up = -1 if job.options.text("circles", "usual", ("usual", "as printed")) == "usual" else 1
     if job.options.text("procedure", "jointly", ("jointly", "step by step")) == "step by step":
         return step_by_step.declare(readings)
     return declare(readings, shared=shared, up=up)
+
+
+def formulations(job: Job) -> dict[str, Problem]:
+    """The same readings step by step, and jointly with all, some or no circles shared.
+
+    The step-by-step problem takes the yaw axes as plumb, as the paper does.
+    """
+    from_job(job)
+    readings, up = _readings(job), _up(job)
+    found = {"step by step": step_by_step.declare(readings)}
+    jointly = {shared: declare(readings, shared=shared, up=up) for shared in ("tested", "all", "none")}
+    return found | {f"jointly, sharing {shared}": problem for shared, problem in jointly.items()}
+
+
+def remarks(job: Job) -> tuple[str, ...]:
+    """What the readings cannot tell: sentences."""
+    assumed = "clockwise with zenith angles" if _up(job) < 0 else "counter-clockwise with angles that grow upward"
+    return (
+        f"Which way the circles count: they are taken as {assumed} (options.circles); it decides right and left, up "
+        "and down, and on which side the lean of the yaw axes is counted.",
+        "How the level lies to the line of sight: its X is taken along that line at yaw position 0, to 1 degree.",
+    )
+
+
+def _readings(job: Job) -> Readings:
+    index = (job.options.quantity("index", "angle", 90 * degree), job.options.quantity("u_index", "angle", 1 * arcsec))
+    u_level, u_circle = (job.instrument(table).uncertainty("u", "angle")[0] for table in ("level", "pitch"))
+    return from_tables(job.tables, index=index, u_level=u_level, u_circle=u_circle)
+
+
+def _up(job: Job) -> int:
+    return -1 if job.options.text("circles", "usual", ("usual", "as printed")) == "usual" else 1
 
 
 def declare(readings: Readings, *, shared: str = "tested", up: int = -1) -> Problem:

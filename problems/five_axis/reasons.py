@@ -8,18 +8,18 @@ _INDEX_S2 = (
     "paper's own -0.227 mm of section 5.1 needs 06"
 )
 _D_Z = (
-    "a digit: 1280 tan(-18.875 arcsec) = -0.117 mm, printed and used on as -0.177; it falsifies eq (9), z2 and item 4 "
-    "(-0.086 instead of -0.169 mm)"
+    "a digit, no rounding of intermediates: 1280 tan(-18.875 arcsec) = -0.117 mm, printed and used on as -0.177; it "
+    "falsifies eq (9), z2 and item 4 (-0.086 instead of -0.169 mm)"
 )
 _CIRCLES = "with circles of the usual make (clockwise, zenith angles, index 90d00m16s), which the paper does not state"
 
 WHY = {
     "T1_S2_hz": _INDEX_S2,
-    "dX_ang": f"06.24 - 39.44 = -33.2 arcsec; -32 follows from the printed 07 and 39. {_INDEX_S2}",
+    "dX_ang": f"rounding of 39.44 to 39 and the printed 07 for 06.24: in full -33.2 arcsec. {_INDEX_S2}",
     "dX": (
-        "-33.2 arcsec give -0.228 mm; -0.220 follows from the printed -32 arcsec. Section 5.1 uses -0.227 mm for the "
-        "same quantity, so the paper contradicts itself. Called X there, it is Y of the frame of section 1: T1 looks "
-        "along X"
+        "rounding of 39.44 to 39 and the printed 07 for 06.24: -33.2 arcsec give -0.228 mm, the printed -32 arcsec "
+        "-0.220. Section 5.1 uses -0.227 mm for the same quantity, so the paper contradicts itself. Called X there, it "
+        "is Y of the frame of section 1: T1 looks along X"
     ),
     "yaw2_y": (
         "rounding of the two yaw readings to 06 and 39 arcsec: -33 arcsec give -0.227; with the printed 07 it would be "
@@ -59,8 +59,8 @@ WHY = {
     ),
     "it7": "a sign: the printed -0.227 + 0.261 is +0.034; at full precision +0.036",
     "it9a": (
-        "rounding and misprint of the yaw readings: -33.2 arcsec give -0.228 mm, the printed 07 - 39 give -0.220, and "
-        "section 5.1 uses -0.227 for the same offset"
+        "rounding of 39.44 to 39 and the printed 07 for 06.24: -33.2 arcsec give -0.228 mm, the printed 07 - 39 give "
+        "-0.220, and section 5.1 uses -0.227 for the same offset"
     ),
     "ex_thA": (
         "a sign: -12.5 arcsec are -6.1e-5 rad, printed without the minus; at full precision the angle is -12.46 arcsec"
