@@ -233,7 +233,7 @@ def _prior(settings: Settings, folder: Path) -> PriorKnowledge:
     if earlier is not None:
         return PriorKnowledge(settings.text("quantity", None), 0.0, 0.0, "", folder / earlier, settings.where())
     name, stated = settings.text("quantity"), settings.text("u")
-    unit = unit_in(stated)
+    unit = _stated_unit(stated, settings.where("u"))
     try:
         kind = units.dimension(unit)
         u = units.quantity(stated, kind)
@@ -245,6 +245,13 @@ def _prior(settings: Settings, folder: Path) -> PriorKnowledge:
     plain = not isinstance(settings.get("value", 0.0), str)
     value = float(units.to_si(settings.number("value", 0.0), unit)) if plain else settings.quantity("value", kind)
     return PriorKnowledge(name, value, u, unit, None, settings.where())
+
+
+def _stated_unit(text: str, where: str) -> str:
+    unit = unit_in(text)
+    if not unit:
+        raise InputError(f"{where}: '{text}' has no unit; write number and unit, as in \"10 urad\"")
+    return unit
 
 
 def _exclusion(settings: Settings, tables: Mapping[str, Table]) -> Exclusion:
@@ -285,7 +292,7 @@ def _tolerances(report: Settings) -> tuple[Tolerance, ...]:
         else:
             upper = stated.text(name)
             lower = f"-{upper}"
-        unit = unit_in(upper)
+        unit = _stated_unit(upper, stated.where(name))
         try:
             limits = [signed_quantity(text, units.dimension(unit)) for text in (lower, upper)]
         except InputError as error:

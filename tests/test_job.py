@@ -118,12 +118,12 @@ issue_date = 2024-05-18
     ("[[exclude]]\nrows = [1]\n", ["reason", "is missing"]),
     ("[[exclude]]\nrows = [1]\nreason = \" \"\n", ["say why"]),
     ("[[exclude]]\nrows = [1, 2, 3]\nreason = \"r\"\n", ["every row is excluded"]),
-    ("[[priors]]\nquantity = \"q\"\nu = \"10\"\n", ["a number without a unit"]),
+    ("[[priors]]\nquantity = \"q\"\nu = \"10\"\n", ["line 12", "priors.1.u", "has no unit"]),
     ("[[priors]]\nquantity = \"q\"\nu = \"0 mm\"\n", ["no positive uncertainty"]),
     ("[[priors]]\nquantity = \"q\"\nu = \"1 mm\"\nvalue = \"1 arcsec\"\n", ["arcsec"]),
-    ("[report]\ntolerances = { q = \"0.1\" }\n", ["report.tolerances.q", "unit"]),
+    ("[report]\ntolerances = { q = \"0.1\" }\n", ["report.tolerances.q", "has no unit"]),
     ("[report]\ntolerances = { q = { lower = \"2 mm\", upper = \"1 mm\" } }\n", ["not below the upper"]),
-    ("broken", ["is not TOML", "line 10"]),
+    ("broken\n", ["is not TOML", "line 10"]),
 ])
 def test_a_job_that_cannot_be_used_is_refused_with_the_key_and_what_to_do(write, more, words):
     message = refusal(write(more))

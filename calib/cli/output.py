@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ import click
 from calib import files
 
 DONE, FAILED, INPUT, STOPPED = 0, 1, 2, 130
+PAGE = 100      # characters of a line of prose
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,10 @@ class Output:
         """A line for people; nothing where JSON or silence was asked for."""
         if not (self.as_json or self.quiet):
             click.echo(text)
+
+    def prose(self, text: str, indent: str = "") -> None:
+        """A sentence for people, folded to the width of a page."""
+        self.say(textwrap.fill(text, PAGE, initial_indent=indent, subsequent_indent=" " * len(indent)))
 
     def result(self, content: Any) -> None:
         """The result as JSON on standard output, where it was asked for."""

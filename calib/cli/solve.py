@@ -73,7 +73,8 @@ def say(output: Output, solution: Solution) -> None:
     estimate = solution.estimate
     if not (estimate.certificate.passed and estimate.converged):
         why = estimate.certificate.why if estimate.converged else estimate.message
-        output.say(f"NOT CERTIFIED: {why}. These numbers show where it stopped; they are no result.\n")
+        output.prose(f"NOT CERTIFIED: {why}. These numbers show where it stopped; they are no result.")
+        output.say()
     output.say(f"{solution.problem.name}: expanded uncertainty U with k = 2\n")
     rows = [_row(*displayed) for displayed in solution.results.displayed]
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
@@ -82,14 +83,16 @@ def say(output: Output, solution: Solution) -> None:
         line = (f"  {row[0]:<{widths[0]}}  {row[1]:>{widths[1]}} ± {row[2]:<{widths[2]}}  {row[3]}"
                 f"{''.join(f'  {verdict}' for verdict in judged)}")
         output.say(line.rstrip())
-    output.say(f"\n{agreement(solution)}")
+    output.say()
+    output.prose(agreement(solution))
     for exclusion in solution.job.exclude:
-        output.say(f"Left out, table {exclusion.table}, row {', '.join(map(str, exclusion.rows))}: {exclusion.reason}")
+        rows = ", ".join(map(str, exclusion.rows))
+        output.prose(f"Left out, table {exclusion.table}, row {rows}: {exclusion.reason}")
     for heading, lines in (("To adjust:", solution.advice), ("Cannot be known:", solution.remarks)):
         if lines:
             output.say(f"\n{heading}")
             for sentence in lines:
-                output.say(f"  - {sentence}")
+                output.prose(sentence, "  - ")
 
 
 def _row(name: str, value: float, u: float, unit: str) -> tuple[str, str, str, str]:
