@@ -34,15 +34,34 @@ def main(repetitions: int) -> None:
     rows = []
     for module in modules_with_examples():
         found = coverage(solve(module.example(1)), range(1, repetitions + 1))
-        rows.append([module.__name__, len(found.names), repetitions, found.failures, f"{found.covered.mean():.4f}",
-                     f"{found.covered.min():.3f}", f"{found.covered.max():.3f}",
-                     f"{np.sqrt(np.mean(found.errors ** 2)):.4f}"])
+        rows.append(
+            [
+                module.__name__,
+                len(found.names),
+                repetitions,
+                found.failures,
+                f"{found.covered.mean():.4f}",
+                f"{found.covered.min():.3f}",
+                f"{found.covered.max():.3f}",
+                f"{np.sqrt(np.mean(found.errors**2)):.4f}",
+            ]
+        )
         print(*rows[-1], flush=True)
     RESULTS.parent.mkdir(exist_ok=True)
     with RESULTS.open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(["module", "results", "repetitions", "failures", "covered_mean", "covered_least", "covered_most",
-                         "true_spread_over_stated_u"])
+        writer.writerow(
+            [
+                "module",
+                "results",
+                "repetitions",
+                "failures",
+                "covered_mean",
+                "covered_least",
+                "covered_most",
+                "true_spread_over_stated_u",
+            ]
+        )
         writer.writerows(rows)
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 Index = NDArray[np.int64]
 
 
@@ -44,7 +45,7 @@ class Block:
                 place = position[part.columns[:, f]]
                 kept = np.flatnonzero(place >= 0)
                 if kept.size:
-                    matrix[kept, :, place[kept]] += part.jacobian[kept, :, f]    # a row meets a place once per (part, f)
+                    matrix[kept, :, place[kept]] += part.jacobian[kept, :, f]  # a row meets a place once per (part, f)
         return matrix.reshape(m * d, size)
 
 
@@ -62,14 +63,17 @@ class Mixing:
         """Mix the residuals (n, dim) and the derivatives of n rows."""
         k, dim = self.rows.shape[1], residual.shape[1]
         if self.matrix.ndim == 2:
-            whole = len(self.rows) == len(residual)      # the usual case: every row in order, nothing to gather
+            whole = len(self.rows) == len(residual)  # the usual case: every row in order, nothing to gather
             pick = slice(None) if whole else self.rows[:, 0]
-            return Block(self.rows, self.matrix * residual[pick],
-                         tuple(Part(p.columns[pick], self.matrix[:, :, None] * p.jacobian[pick]) for p in parts))
+            return Block(
+                self.rows,
+                self.matrix * residual[pick],
+                tuple(Part(p.columns[pick], self.matrix[:, :, None] * p.jacobian[pick]) for p in parts),
+            )
         source = residual[self.rows].reshape(len(self.rows), k * dim)
         mixed = np.einsum("mde,me->md", self.matrix, source)
         result = []
         for j in range(k):
-            pick, weight = self.rows[:, j], self.matrix[:, :, j * dim:(j + 1) * dim]
+            pick, weight = self.rows[:, j], self.matrix[:, :, j * dim : (j + 1) * dim]
             result += [Part(p.columns[pick], weight @ p.jacobian[pick]) for p in parts]
         return Block(self.rows, mixed, tuple(result))

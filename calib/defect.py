@@ -20,11 +20,11 @@ def simplest_basis(directions: Array, weights: Array) -> Array:
     taken: list[int] = []
     for k in range(len(basis)):
         rest = np.abs(basis[k:])
-        rest[:, taken] = 0.0
+        rest[:, np.array(taken, dtype=int)] = 0.0
         row, column = np.unravel_index(int(np.argmax(rest)), rest.shape)
         basis[[k, k + row]] = basis[[k + row, k]]
         basis[k] /= basis[k, column]
-        others = [i for i in range(len(basis)) if i != k]
+        others = np.delete(np.arange(len(basis)), k)
         basis[others] -= np.outer(basis[others, column], basis[k])
         taken.append(int(column))
     basis[np.abs(basis) < 1e-7] = 0.0
@@ -33,14 +33,19 @@ def simplest_basis(directions: Array, weights: Array) -> Array:
 
 def direction_in_words(layout: Layout, direction: Array) -> str:
     """One direction (p,) over the free columns, largest first, in the display units of the unknowns."""
-    shown = [(layout.label(c), layout.unit(c), d / units.factor(layout.unit(c)))
-             for c, d in zip(layout.free_columns, direction, strict=True) if d != 0.0]
+    shown = [
+        (layout.label(c), layout.unit(c), d / units.factor(layout.unit(c)))
+        for c, d in zip(layout.free_columns.tolist(), direction, strict=True)
+        if d != 0.0
+    ]
     largest = max(abs(value) for *_, value in shown)
     shown = sorted(((label, unit, value / largest) for label, unit, value in shown), key=lambda item: -abs(item[2]))
     sign = np.sign(shown[0][2])
     kept = [(label, unit, sign * value) for label, unit, value in shown if abs(value) > 1e-6]
-    words = " ".join(f"{'-' if value < 0 else '+'} {abs(value):.3g} {'' if unit == '1' else unit + ' '}{label}"
-                     for label, unit, value in kept[:6])
+    words = " ".join(
+        f"{'-' if value < 0 else '+'} {abs(value):.3g} {'' if unit == '1' else unit + ' '}{label}"
+        for label, unit, value in kept[:6]
+    )
     more = f" and {len(kept) - 6} more" if len(kept) > 6 else ""
     return words.removeprefix("+ ") + more
 
@@ -48,8 +53,11 @@ def direction_in_words(layout: Layout, direction: Array) -> str:
 def cure(names: str) -> str:
     """What to do about a direction that changes no reading."""
     alone = " " not in names.strip().removeprefix("1 ").strip() or names.count("+") + names.count("-") == 0
-    return ("hold it, add a prior, or add readings that see it" if alone
-            else "hold one of them, add a prior, or add readings that tell them apart")
+    return (
+        "hold it, add a prior, or add readings that see it"
+        if alone
+        else "hold one of them, add a prior, or add readings that tell them apart"
+    )
 
 
 def defect_in_words(layout: Layout, null: Array, sizes: Callable[[], Array]) -> list[str]:

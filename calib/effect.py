@@ -20,8 +20,11 @@ def direct(value: Any, **quantities: Any) -> Any:
 
 def slots_of(model: Callable[..., Any]) -> tuple[str, ...]:
     """Names of the keyword-only arguments of a model, its slots."""
-    return tuple(name for name, parameter in inspect.signature(model).parameters.items()
-                 if parameter.kind is inspect.Parameter.KEYWORD_ONLY)
+    return tuple(
+        name
+        for name, parameter in inspect.signature(model).parameters.items()
+        if parameter.kind is inspect.Parameter.KEYWORD_ONLY
+    )
 
 
 def positional_of(model: Callable[..., Any]) -> tuple[str, ...]:
@@ -32,6 +35,7 @@ def positional_of(model: Callable[..., Any]) -> tuple[str, ...]:
 
 def hands_slots_to(*inner: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Declare that a model hands its `**slots` on to other models, so that their slots are its own."""
+
     def decorate(model: Callable[..., Any]) -> Callable[..., Any]:
         signature = inspect.signature(model)
         own = [p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
@@ -41,8 +45,9 @@ def hands_slots_to(*inner: Callable[..., Any]) -> Callable[[Callable[..., Any]],
                 if slot not in names:
                     names.add(slot)
                     own.append(inspect.Parameter(slot, inspect.Parameter.KEYWORD_ONLY, default=direct))
-        model.__signature__ = signature.replace(parameters=own)      # type: ignore[attr-defined]
+        model.__signature__ = signature.replace(parameters=own)  # type: ignore[attr-defined]
         return model
+
     return decorate
 
 
@@ -83,8 +88,10 @@ class Effect:
     def __post_init__(self) -> None:
         names = list(inspect.signature(self.function).parameters)
         if len(names) < 2:
-            raise DeclarationError(f"Effect '{self.name}': its function must take (value, parameters, ...inputs); "
-                                   f"it takes ({', '.join(names)}).")
+            raise DeclarationError(
+                f"Effect '{self.name}': its function must take (value, parameters, ...inputs); "
+                f"it takes ({', '.join(names)})."
+            )
         if not self.parameters:
             raise DeclarationError(f"Effect '{self.name}' has no parameter; without one there is nothing to estimate.")
         object.__setattr__(self, "parameters", tuple(self.parameters))

@@ -13,8 +13,8 @@ from calib.blocks import Array, Block
 from calib.layout import Layout
 from calib.unknown import Unknown
 
-RANK_TOLERANCE = 1e-12     # of the singular values of the column-scaled derivatives, relative to the largest
-DENSE_SIZE = 250           # unknowns up to which an orthogonal factor of all rows is cheaper than looking for blocks
+RANK_TOLERANCE = 1e-12  # of the singular values of the column-scaled derivatives, relative to the largest
+DENSE_SIZE = 250  # unknowns up to which an orthogonal factor of all rows is cheaper than looking for blocks
 Index = NDArray[np.int64]
 
 
@@ -38,7 +38,8 @@ class Conditions:
 
 
 def _null_space(matrix: Array, target: Array) -> tuple[Array, Array]:
-    """Basis (p, q) of the null space of conditions, and the smallest solution (p,) that comes nearest to their target."""
+    """Basis (p, q) of the null space of conditions, and the smallest solution (p,) that comes nearest to their
+    target."""
     size = np.linalg.norm(matrix, axis=1)
     size[size == 0] = 1.0
     left, values, right = np.linalg.svd(matrix / size[:, None])
@@ -52,7 +53,8 @@ class DenseFactor:
 
     derivatives (N, p); residual (N,); conditions; damping: (p,) added to the diagonal of the normal matrix, or None.
     step: (p,) least-squares step, which is `particular` (p,) to meet the conditions plus `root` times `pull` (rank,);
-    decrement: its size in units of u; null: (p, defect) directions that change no reading; condition: of the scaled derivatives.
+    decrement: its size in units of u; null: (p, defect) directions that change no reading; condition: of the scaled
+    derivatives.
     """
 
     def __init__(self, derivatives: Array, residual: Array, conditions: Conditions, damping: Array | None = None):
@@ -71,30 +73,33 @@ class DenseFactor:
             springs = np.diag(np.sqrt(damping) / self._scale)
             springs = springs if self._basis is None else springs @ self._basis
             stacked = np.concatenate([stacked, np.column_stack([springs, np.zeros(self.size)])])
-        corner = np.linalg.qr(stacked, mode="r") if len(stacked) > width + 1 else stacked
+        corner = np.asarray(np.linalg.qr(stacked, mode="r")) if len(stacked) > width + 1 else stacked
         left, self._values, self._right = np.linalg.svd(corner[:, :width], full_matrices=True)
         largest = self._values[0] if len(self._values) else 1.0
         self.rank = int(np.sum(self._values > RANK_TOLERANCE * max(largest, 1e-300)))
-        self.pull = left[:, :self.rank].T @ corner[:, width]
+        self.pull = left[:, : self.rank].T @ corner[:, width]
         self.particular = particular / self._scale
-        with np.errstate(over="ignore", invalid="ignore"):      # a column that has all but faded may ask for any step
+        with np.errstate(over="ignore", invalid="ignore"):  # a column that has all but faded may ask for any step
             self.step = self.particular + self.root @ self.pull
         self.decrement = float(np.linalg.norm(self.pull))
         self.defect = width - self.rank
-        self.condition = float(largest / self._values[-1]) if len(self._values) == width > 0 and not self.defect else (
-            np.inf if self.defect else 1.0)
+        self.condition = (
+            float(largest / self._values[-1])
+            if len(self._values) == width > 0 and not self.defect
+            else (np.inf if self.defect else 1.0)
+        )
 
     @cached_property
     def root(self) -> Array:
         """Matrix (p, rank) whose product with its transpose is the covariance of the free columns."""
-        inner = self._right[:self.rank].T / self._values[:self.rank]
+        inner = self._right[: self.rank].T / self._values[: self.rank]
         outer = inner if self._basis is None else self._basis @ inner
         return outer / self._scale[:, None]
 
     @cached_property
     def null(self) -> Array:
         """Directions (p, defect) that change no reading and break no condition, in scaled columns' natural units."""
-        inner = self._right[self.rank:].T
+        inner = self._right[self.rank :].T
         return (inner if self._basis is None else self._basis @ inner) / self._scale[:, None]
 
     @cached_property
@@ -123,9 +128,16 @@ class EliminatedFactor:
     Same attributes as DenseFactor; `order`: (p,) free columns with the eliminated ones first.
     """
 
-    def __init__(self, blocks: Sequence[Block], layout: Layout, unknown: Unknown | None, conditions: Conditions,
-                 damping: Array | None = None):
+    def __init__(
+        self,
+        blocks: Sequence[Block],
+        layout: Layout,
+        unknown: Unknown | None,
+        conditions: Conditions,
+        damping: Array | None = None,
+    ):
         from scipy import sparse
+
         self.size = len(layout.free_columns)
         derivatives, residual = sparse_rows(blocks, layout)
         inside = np.zeros(self.size, dtype=bool)
@@ -146,7 +158,7 @@ class EliminatedFactor:
         self._residual, gradient = residual, scaled.T @ residual
         inner, outer = scaled[:, self._inner].tocsr(), scaled[:, self._outer].tocsr()
         f, m = self._freedom, self._count
-        springs = np.zeros(self.size) if damping is None else damping / self._scale ** 2
+        springs = np.zeros(self.size) if damping is None else damping / self._scale**2
         normal = (outer.T @ outer).toarray() + np.diag(springs[self._outer])
         self._coupled = np.zeros((m, f, len(self._outer)))
         target = gradient[self._outer].copy()
@@ -157,7 +169,7 @@ class EliminatedFactor:
             weak = lengths <= RANK_TOLERANCE * np.maximum(lengths[:, -1:], 1e-300)
             self._defective = np.flatnonzero(weak.any(axis=1))
             inverse_root = np.where(weak, 0.0, 1 / np.sqrt(np.where(weak, 1.0, lengths)))
-            self._half = inverse_root[:, :, None] * axes.transpose(0, 2, 1)        # (m, f, f), Half N Half' = identity
+            self._half = inverse_root[:, :, None] * axes.transpose(0, 2, 1)  # (m, f, f), Half N Half' = identity
             self._weak_axes = [axes[i][:, weak[i]] for i in self._defective]
             cross = (inner.T @ outer).toarray().reshape(m, f, -1)
             self._coupled = self._half @ cross
@@ -186,10 +198,18 @@ class EliminatedFactor:
         values, axes = np.linalg.eigh(normal) if len(normal) else (np.zeros(0), np.zeros((0, 0)))
         largest = values[-1] if len(values) else 1.0
         strong = values > RANK_TOLERANCE * max(largest, 1e-300)
-        self.rank = int(strong.sum()) + self._count * self._freedom - sum(a.shape[1] for a in (self._weak_axes if self._count else []))
-        self.condition = float(np.sqrt(largest / values[0])) if len(values) and strong.all() else (1.0 if not len(values) else np.inf)
+        self.rank = (
+            int(strong.sum())
+            + self._count * self._freedom
+            - sum(a.shape[1] for a in (self._weak_axes if self._count else []))
+        )
+        self.condition = (
+            float(np.sqrt(largest / values[0]))
+            if len(values) and strong.all()
+            else (1.0 if not len(values) else np.inf)
+        )
         reduced = axes[:, strong] / np.sqrt(values[strong])
-        self._reduced_root = reduced if basis is None else basis @ reduced            # covariance of outer = root root'
+        self._reduced_root = reduced if basis is None else basis @ reduced  # covariance of outer = root root'
         weak = axes[:, ~strong]
         self._reduced_null = weak if basis is None else basis @ weak
         outer_step = self._reduced_root @ (reduced.T @ target) + particular
@@ -199,7 +219,10 @@ class EliminatedFactor:
             inner = self._inner_target - self._coupled @ outer_step
             step[self._inner] = np.einsum("mji,mj->mi", self._half, inner).ravel()
         self.step = step / self._scale
-        parts = (float(np.linalg.norm(reduced.T @ target)), float(np.linalg.norm(self._inner_target)) if self._count else 0.0)
+        parts = (
+            float(np.linalg.norm(reduced.T @ target)),
+            float(np.linalg.norm(self._inner_target)) if self._count else 0.0,
+        )
         self.decrement = float(np.hypot(*parts))
         self.defect = self._reduced_null.shape[1] + sum(a.shape[1] for a in (self._weak_axes if self._count else []))
 
@@ -216,12 +239,14 @@ class EliminatedFactor:
             direction = np.zeros(self.size)
             direction[self._outer] = self._reduced_null[:, k]
             if self._count:
-                direction[self._inner] = -np.einsum("mji,mj->mi", self._half, self._coupled @ self._reduced_null[:, k]).ravel()
+                direction[self._inner] = -np.einsum(
+                    "mji,mj->mi", self._half, self._coupled @ self._reduced_null[:, k]
+                ).ravel()
             columns.append(direction)
         for i, axes in zip(self._defective, self._weak_axes if self._count else [], strict=True):
             for axis in axes.T:
                 direction = np.zeros(self.size)
-                direction[self._inner[i * self._freedom:(i + 1) * self._freedom]] = axis
+                direction[self._inner[i * self._freedom : (i + 1) * self._freedom]] = axis
                 columns.append(direction)
         return (np.array(columns).reshape(-1, self.size) / self._scale).T
 
@@ -271,7 +296,7 @@ class EliminatedFactor:
 
     @cached_property
     def _inner_covariance(self) -> Array:
-        return (self._inner_root @ self._inner_root.transpose(0, 2, 1) + self._half.transpose(0, 2, 1) @ self._half)
+        return self._inner_root @ self._inner_root.transpose(0, 2, 1) + self._half.transpose(0, 2, 1) @ self._half
 
     def between(self, first: Index, second: Index) -> Array:
         """Covariances (m, f, g) of free columns first (m, f) with second (m, g); -1 stands for a held column."""
@@ -306,6 +331,7 @@ Factor = DenseFactor | EliminatedFactor
 def sparse_rows(blocks: Sequence[Block], layout: Layout):  # type: ignore[no-untyped-def]
     """All whitened derivatives as one sparse matrix (N, p) over the free columns, and the residuals (N,)."""
     from scipy import sparse
+
     data, rows, columns, residuals, begin = [], [], [], [], 0
     for block in blocks:
         m, d = block.residual.shape
@@ -323,7 +349,9 @@ def sparse_rows(blocks: Sequence[Block], layout: Layout):  # type: ignore[no-unt
     shape = (begin, len(layout.free_columns))
     if not data:
         return sparse.csr_matrix(shape), np.concatenate(residuals)
-    return sparse.csr_matrix((np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape), np.concatenate(residuals)
+    return sparse.csr_matrix(
+        (np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape
+    ), np.concatenate(residuals)
 
 
 def _eliminable(blocks: Sequence[Block], layout: Layout, conditions: Conditions) -> Unknown | None:
@@ -335,7 +363,9 @@ def _eliminable(blocks: Sequence[Block], layout: Layout, conditions: Conditions)
         if unknown.count < 2 or not np.all(free.all(axis=1) | ~free.any(axis=1)):
             continue
         size = int(free.sum())
-        if size <= most or (len(conditions.target) and np.any(conditions.matrix[:, layout.position[span][free.ravel()]])):
+        if size <= most or (
+            len(conditions.target) and np.any(conditions.matrix[:, layout.position[span][free.ravel()]])
+        ):
             continue
         alone = True
         for block in blocks:
@@ -355,5 +385,7 @@ def factorise(blocks: Sequence[Block], layout: Layout, conditions: Conditions, d
     size = len(layout.free_columns)
     if size <= DENSE_SIZE:
         rows = [b.dense(layout.position, size) for b in blocks]
-        return DenseFactor(np.concatenate(rows), np.concatenate([b.residual.ravel() for b in blocks]), conditions, damping)
+        return DenseFactor(
+            np.concatenate(rows), np.concatenate([b.residual.ravel() for b in blocks]), conditions, damping
+        )
     return EliminatedFactor(blocks, layout, _eliminable(blocks, layout, conditions), conditions, damping)

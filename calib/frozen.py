@@ -19,6 +19,8 @@ class Frozen(metaclass=_Sealing):
 
     def __setattr__(self, name: str, value: Any) -> None:
         if "_sealed" in self.__dict__:
-            raise AttributeError(f"{type(self).__name__} is frozen: '{name}' cannot be set; make a new one "
-                                 "(free, hold and the with_ methods of a problem return new ones).")
+            raise AttributeError(
+                f"{type(self).__name__} is frozen: '{name}' cannot be set; make a new one "
+                "(free, hold and the with_ methods of a problem return new ones)."
+            )
         object.__setattr__(self, name, value)

@@ -15,7 +15,7 @@ from calib.effect import Effect
 from calib.elimination import Conditions, Factor, factorise, sparse_rows
 from calib.errors import DeclarationError
 from calib.layout import Layout
-from calib.observations import Observations, Quantity
+from calib.observations import Quantity
 from calib.problem import Problem
 from calib.system import System
 from calib.uncertainty import Weighting
@@ -116,15 +116,24 @@ class Linearisation:
         for group in self.groups:
             if group.name == name:
                 return group
-        raise DeclarationError(f"{self.name} has no group '{name}'; there are {', '.join(g.name for g in self.groups)}.")
+        raise DeclarationError(
+            f"{self.name} has no group '{name}'; there are {', '.join(g.name for g in self.groups)}."
+        )
 
     def functions(self, *what: Any) -> Functions:
-        """Unknowns, selections, effects or quantities as linear functions; nothing: all quantities, else all that is free."""
+        """Unknowns, selections, effects or quantities as linear functions; nothing: all quantities, else all that is
+        free."""
         if not what:
-            what = tuple(self.results) or tuple(u for u in self.layout.unknowns if self.layout.free[self.layout.span(u)].any())
+            what = tuple(self.results) or tuple(
+                u for u in self.layout.unknowns if self.layout.free[self.layout.span(u)].any()
+            )
         pieces = [self._function(w) for w in what]
-        return Functions(tuple(label for p in pieces for label in p.labels), tuple(u for p in pieces for u in p.units),
-                         np.concatenate([p.values for p in pieces]), np.concatenate([p.derivatives for p in pieces]))
+        return Functions(
+            tuple(label for p in pieces for label in p.labels),
+            tuple(u for p in pieces for u in p.units),
+            np.concatenate([p.values for p in pieces]),
+            np.concatenate([p.derivatives for p in pieces]),
+        )
 
     def _function(self, what: Any) -> Functions:
         if isinstance(what, Functions):
@@ -133,7 +142,9 @@ class Linearisation:
             return self.results[what]
         if isinstance(what, str):
             return self._named(what)
-        selection = what if isinstance(what, Selection) else Selection(self.effects[what] if isinstance(what, Effect) else what)
+        selection = (
+            what if isinstance(what, Selection) else Selection(self.effects[what] if isinstance(what, Effect) else what)
+        )
         unknown, mask = selection.unknown, selection.mask().ravel()
         columns = np.flatnonzero(mask)
         derivatives = np.zeros((len(columns), self.layout.size))
@@ -142,11 +153,17 @@ class Linearisation:
         if unknown.kind == "vector":
             values = self.values[unknown].ravel()[columns]
         elif unknown.kind == "pose":
-            values = np.concatenate([self.values[unknown][:, :3], np.zeros((unknown.count, 3))], axis=1).ravel()[columns]
+            values = np.concatenate([self.values[unknown][:, :3], np.zeros((unknown.count, 3))], axis=1).ravel()[
+                columns
+            ]
         else:
             values = np.zeros(len(columns))
-        return Functions(tuple(labels[c] for c in columns), tuple(unknown.units[c % unknown.freedom] for c in columns),
-                         values, derivatives)
+        return Functions(
+            tuple(labels[c] for c in columns),
+            tuple(unknown.units[c % unknown.freedom] for c in columns),
+            values,
+            derivatives,
+        )
 
     def _named(self, name: str) -> Functions:
         for quantity in self.results:
@@ -163,12 +180,18 @@ class Linearisation:
 
     def scaled(self, factors: Mapping[str, float]) -> Linearisation:
         """The same with the standard uncertainties of named groups multiplied by factors."""
-        return replace(self, groups=tuple(replace(g, weighting=g.weighting.scaled(factors[g.name])) if g.name in factors else g
-                                          for g in self.groups))
+        return replace(
+            self,
+            groups=tuple(
+                replace(g, weighting=g.weighting.scaled(factors[g.name])) if g.name in factors else g
+                for g in self.groups
+            ),
+        )
 
     @cached_property
     def rows(self):  # type: ignore[no-untyped-def]
-        """Whitened derivatives of all groups as a sparse matrix (N, p) over the free columns, and the residuals (N,)."""
+        """Whitened derivatives of all groups as a sparse matrix (N, p) over the free columns, and the residuals
+        (N,)."""
         return sparse_rows(self.blocks, self.layout)
 
     def held_columns(self, columns: Sequence[int]) -> Array:
@@ -200,15 +223,27 @@ def linearise_system(system: System, values: Mapping[Unknown, Array]) -> Lineari
     layout, groups = system.layout, []
     for term, weighting in zip(system.terms, system.weightings(values), strict=True):
         observations = term.bound
-        assert isinstance(observations, Observations)
         predicted, parts = term.derive(values, held_too=True)
         counted = np.ones(term.n, dtype=bool)
         if observations.is_prior:
             counted = np.any([layout.free[p.columns].any(axis=1) for p in parts], axis=0)
-        groups.append(Group(observations.group, observations.rows, observations.components(term.dim),
-                            observations.units(term.dim), observations.readings, predicted,
-                            system.residual(term, predicted), weighting, tuple(parts), observations.covariates,
-                            observations.covariate_units, observations.is_prior, counted))
+        groups.append(
+            Group(
+                observations.group,
+                observations.rows,
+                observations.components(term.dim),
+                observations.units(term.dim),
+                observations.readings,
+                predicted,
+                system.residual(term, predicted),
+                weighting,
+                tuple(parts),
+                observations.covariates,
+                observations.covariate_units,
+                observations.is_prior,
+                counted,
+            )
+        )
     equal, unequal, _ = system.active_conditions(values)
     matrix = np.concatenate([equal, unequal])[:, layout.free_columns]
     pins = np.union1d(*system.at_bounds(values))
@@ -217,5 +252,15 @@ def linearise_system(system: System, values: Mapping[Unknown, Array]) -> Lineari
     for quantity in system.problem.quantities:
         value, derivatives = system.result(quantity, values)
         dim = value.shape[1]
-        results[quantity] = Functions(tuple(quantity.labels(dim)), quantity.units(dim) * quantity.n, value.ravel(), derivatives)
-    return Linearisation(system.problem.name, layout, tuple(groups), conditions, dict(values), results, {a.effect: a.unknown for a in system.problem.attached})
+        results[quantity] = Functions(
+            tuple(quantity.labels(dim)), quantity.units(dim) * quantity.n, value.ravel(), derivatives
+        )
+    return Linearisation(
+        system.problem.name,
+        layout,
+        tuple(groups),
+        conditions,
+        dict(values),
+        results,
+        {a.effect: a.unknown for a in system.problem.attached},
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -32,14 +32,14 @@ class Argument:
 
     name: str
     unknown: Unknown | None = None
-    index: NDArray[np.int64] | None = None
-    data: Array | None = None
+    index: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    data: Array = field(default_factory=lambda: np.zeros((0, 0)))
     shape: tuple[int, ...] = ()
 
 
 def _data(name: str, values: Array, shape: tuple[int, ...]) -> Argument:
     stack = values.reshape(len(values), *shape)
-    if len(shape) == 2:                                     # column by column, as CasADi reshapes
+    if len(shape) == 2:  # column by column, as CasADi reshapes
         stack = stack.transpose(0, 2, 1)
     return Argument(name, data=np.ascontiguousarray(stack.reshape(len(values), -1)), shape=shape)
 
@@ -54,8 +54,10 @@ class BoundModel(Frozen):
         names = positional_of(model)
         self.model_name = getattr(model, "__name__", "model")
         if len(names) != len(arguments):
-            raise DeclarationError(f"{self.what} '{name}': the model {self.model_name}({', '.join(names)}) takes "
-                                   f"{len(names)} arguments, {len(arguments)} were given.")
+            raise DeclarationError(
+                f"{self.what} '{name}': the model {self.model_name}({', '.join(names)}) takes "
+                f"{len(names)} arguments, {len(arguments)} were given."
+            )
         lengths = {}
         for label, argument in zip(names, arguments, strict=True):
             if isinstance(argument, Selection) and argument.index is not None and argument.index.ndim:
@@ -66,8 +68,10 @@ class BoundModel(Frozen):
             n = max(lengths.values(), default=1)
         for label, length in lengths.items():
             if length != n:
-                raise DeclarationError(f"{self.what} '{name}': argument '{label}' has {length} rows where {n} are "
-                                       "expected; give one value a row, or Shared(value) for a constant.")
+                raise DeclarationError(
+                    f"{self.what} '{name}': argument '{label}' has {length} rows where {n} are "
+                    "expected; give one value a row, or Shared(value) for a constant."
+                )
         self.n = n
         self.arguments = tuple(self._argument(label, a, n) for label, a in zip(names, arguments, strict=True))
 
@@ -75,14 +79,18 @@ class BoundModel(Frozen):
         where = f"{self.what} '{self.name}', argument '{label}'"
         if isinstance(given, Unknown):
             if given.count != 1:
-                raise DeclarationError(f"{where}: unknown '{given.name}' has {given.count} instances; bind it as "
-                                       f"{given.name}[index] or {given.name}.each.")
+                raise DeclarationError(
+                    f"{where}: unknown '{given.name}' has {given.count} instances; bind it as "
+                    f"{given.name}[index] or {given.name}.each."
+                )
             return Argument(label, given, np.zeros(n, dtype=np.int64))
         if isinstance(given, Selection):
             if given.parts is not None:
-                raise DeclarationError(f"{where}: a model receives whole instances of '{given.unknown.name}', not "
-                                       "single parts; take the part inside the model.")
-            return Argument(label, given.unknown, np.broadcast_to(given.index, (n,)))
+                raise DeclarationError(
+                    f"{where}: a model receives whole instances of '{given.unknown.name}', not "
+                    "single parts; take the part inside the model."
+                )
+            return Argument(label, given.unknown, np.broadcast_to(given.instances(), (n,)))
         if isinstance(given, Shared):
             value = np.asarray(given.value, float)
             argument = _data(label, value[None], value.shape)
@@ -122,10 +130,19 @@ class Observations(BoundModel):
     what = "observations"
     is_prior = False
 
-    def __init__(self, model: Callable[..., Any], *arguments: Any, readings: ArrayLike | None = None,
-                 u: ArrayLike | Gaussian | None = None, group: str = "readings", unit: str | Sequence[str] = "1",
-                 components: Sequence[str] | None = None, covariates: Mapping[str, Any] | None = None,
-                 period: Any = None, rows: ArrayLike | None = None):
+    def __init__(
+        self,
+        model: Callable[..., Any],
+        *arguments: Any,
+        readings: ArrayLike | None = None,
+        u: ArrayLike | Gaussian | None = None,
+        group: str = "readings",
+        unit: str | Sequence[str] = "1",
+        components: Sequence[str] | None = None,
+        covariates: Mapping[str, Any] | None = None,
+        period: Any = None,
+        rows: ArrayLike | None = None,
+    ):
         values = None if readings is None else np.array(readings, dtype=float)
         self._bind(group, model, arguments, None if values is None else len(np.atleast_1d(values)))
         self.group = group
@@ -133,8 +150,10 @@ class Observations(BoundModel):
         if self.readings is not None:
             bad = np.argwhere(~np.isfinite(self.readings))
             if len(bad):
-                raise DeclarationError(f"observations '{group}': reading {bad[0][0] + 1} is not a finite number; mend "
-                                       "or leave out that row.")
+                raise DeclarationError(
+                    f"observations '{group}': reading {bad[0][0] + 1} is not a finite number; mend "
+                    "or leave out that row."
+                )
             self.readings.flags.writeable = False
         if u is None:
             raise DeclarationError(f"observations '{group}' have no uncertainty; every reading needs one (u=...).")
@@ -149,8 +168,9 @@ class Observations(BoundModel):
             if array.ndim == 0:
                 array = np.broadcast_to(array, (self.n,))
             if len(array) != self.n:
-                raise DeclarationError(f"observations '{group}': covariate '{name}' has {len(array)} rows, the "
-                                       f"readings {self.n}.")
+                raise DeclarationError(
+                    f"observations '{group}': covariate '{name}' has {len(array)} rows, the readings {self.n}."
+                )
             self.covariates[name], self.covariate_units[name] = array, measure
 
     @property
@@ -175,18 +195,26 @@ class Observations(BoundModel):
         copy.__dict__.update(self.__dict__, readings=values, uncertainty=u or self.uncertainty)
         return copy
 
-
     def keep(self, keep: NDArray[np.bool_]) -> Observations:
         """The rows where keep (n,) is true."""
         copy, mask = object.__new__(type(self)), np.asarray(keep, dtype=bool)
         arguments = tuple(
-            replace(a, index=a.index[mask]) if a.index is not None
-            else replace(a, data=a.data[mask]) if a.data is not None and len(a.data) == self.n and self.n > 1 else a
-            for a in self.arguments)
+            replace(a, index=a.index[mask])
+            if a.unknown is not None
+            else replace(a, data=a.data[mask])
+            if len(a.data) == self.n > 1
+            else a
+            for a in self.arguments
+        )
         copy.__dict__.update(
-            self.__dict__, n=int(mask.sum()), arguments=arguments, rows=self.rows[mask], uncertainty=self.uncertainty.kept(mask),
+            self.__dict__,
+            n=int(mask.sum()),
+            arguments=arguments,
+            rows=self.rows[mask],
+            uncertainty=self.uncertainty.kept(mask),
             readings=None if self.readings is None else self.readings[mask],
-            covariates={name: values[mask] for name, values in self.covariates.items()})
+            covariates={name: values[mask] for name, values in self.covariates.items()},
+        )
         return copy
 
 
@@ -207,27 +235,34 @@ def prior(of: Unknown | Selection, value: Any, u: ArrayLike | Gaussian, name: st
     """
     selection = of if isinstance(of, Selection) else Selection(of)
     unknown = selection.unknown
-    index = np.arange(unknown.count) if selection.index is None else np.atleast_1d(selection.index)
+    index = np.atleast_1d(selection.instances())
     parts = tuple(range(unknown.freedom)) if selection.parts is None else selection.parts
     names = tuple(unknown.parts[p] for p in parts)
     units = tuple(unknown.units[p] for p in parts)
     group = name or f"prior {unknown.name}" + (f".{'.'.join(names)}" if selection.parts is not None else "")
     if unknown.kind == "vector":
         try:
-            readings = np.broadcast_to(np.asarray(value, float).reshape(-1, len(parts))
-                                       if np.ndim(value) else np.asarray(value, float), (len(index), len(parts)))
+            readings = np.broadcast_to(
+                np.asarray(value, float).reshape(-1, len(parts)) if np.ndim(value) else np.asarray(value, float),
+                (len(index), len(parts)),
+            )
         except ValueError:
-            raise DeclarationError(f"{group}: the value has shape {np.shape(value)}; give ({len(index)}, {len(parts)})."
-                                   ) from None
+            raise DeclarationError(
+                f"{group}: the value has shape {np.shape(value)}; give ({len(index)}, {len(parts)})."
+            ) from None
+
         def itself(quantity: Any) -> Any:
             return quantity[list(parts)]
+
         return Prior(itself, unknown[index], readings=readings, u=u, group=group, unit=units, components=names)
-    stored = unknown.store(value) if len(index) == unknown.count else np.concatenate(
-        [unknown.store(value)[:1]] * len(index))
+    stored = (
+        unknown.store(value) if len(index) == unknown.count else np.concatenate([unknown.store(value)[:1]] * len(index))
+    )
     zero = np.zeros((len(index), len(parts)))
 
     def departure(quantity: Any, nominal: Any) -> Any:
         return ca.vertcat(*[_departure(unknown, quantity, nominal)[p] for p in parts])
+
     return Prior(departure, unknown[index], stored, readings=zero, u=u, group=group, unit=units, components=names)
 
 
@@ -254,8 +289,15 @@ class Quantity(BoundModel):
 
     what = "quantity"
 
-    def __init__(self, name: str, function: Callable[..., Any], *arguments: Any, unit: str | Sequence[str] = "1",
-                 parts: Sequence[str] | None = None, keys: Sequence[object] | None = None):
+    def __init__(
+        self,
+        name: str,
+        function: Callable[..., Any],
+        *arguments: Any,
+        unit: str | Sequence[str] = "1",
+        parts: Sequence[str] | None = None,
+        keys: Sequence[object] | None = None,
+    ):
         self._bind(name, function, arguments, None if keys is None else len(keys))
         self.unit = unit
         self._parts = None if parts is None else tuple(parts)
@@ -287,8 +329,16 @@ class Constraint(BoundModel):
 
     what = "constraint"
 
-    def __init__(self, name: str, function: Callable[..., Any], *arguments: Any, tolerance: float, unit: str = "1",
-                 lower: ArrayLike = 0.0, upper: ArrayLike = 0.0):
+    def __init__(
+        self,
+        name: str,
+        function: Callable[..., Any],
+        *arguments: Any,
+        tolerance: float,
+        unit: str = "1",
+        lower: ArrayLike = 0.0,
+        upper: ArrayLike = 0.0,
+    ):
         self._bind(name, function, arguments, None)
         self.tolerance, self.unit = float(tolerance), unit
         self.lower, self.upper = np.asarray(lower, float), np.asarray(upper, float)

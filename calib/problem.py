@@ -47,18 +47,28 @@ def _acts_on(effect: Effect, observations: Observations) -> bool:
 def _attach(effect: Effect, observations: Sequence[Observations]) -> Attached:
     places = [o for o in observations if _acts_on(effect, o)]
     if not places:
-        there = {f"{o.group}: {slot}({', '.join(sorted(names))})" for o in observations for slot, names in offered(o).items()}
+        there = {
+            f"{o.group}: {slot}({', '.join(sorted(names))})" for o in observations for slot, names in offered(o).items()
+        }
         needs = ", ".join([*effect.inputs, *([effect.per] if effect.per else [])]) or "nothing"
-        raise DeclarationError(f"effect '{effect.label}' acts nowhere: no observations have slot '{effect.slot}' and offer "
-                               f"{needs}. There are: {'; '.join(sorted(there)) or 'no slots'}.")
+        raise DeclarationError(
+            f"effect '{effect.label}' acts nowhere: no observations have slot '{effect.slot}' and offer "
+            f"{needs}. There are: {'; '.join(sorted(there)) or 'no slots'}."
+        )
     keys: dict[str, None] = {}
     if effect.per is not None:
         for o in places:
             keys.update(dict.fromkeys(str(k) for k in o.covariates[effect.per]))
     names = [p.name for p in effect.parameters]
-    unknown = Unknown(effect.label, np.zeros((max(len(keys), 1), len(names))), parts=names, keys=tuple(keys) or None,
-                      unit=[p.unit for p in effect.parameters], lower=[p.lower for p in effect.parameters],
-                      upper=[p.upper for p in effect.parameters])
+    unknown = Unknown(
+        effect.label,
+        np.zeros((max(len(keys), 1), len(names))),
+        parts=names,
+        keys=tuple(keys) or None,
+        unit=[p.unit for p in effect.parameters],
+        lower=[p.lower for p in effect.parameters],
+        upper=[p.upper for p in effect.parameters],
+    )
     return Attached(effect, unknown, tuple(keys), tuple(o.group for o in places))
 
 
@@ -70,11 +80,21 @@ class Problem(Frozen):
     Raises DeclarationError for two unknowns, groups or quantities of one name, or an effect that acts nowhere.
     """
 
-    def __init__(self, observations: Sequence[Observations], constraints: Sequence[Constraint] = (),
-                 quantities: Sequence[Quantity] = (), effects: Sequence[Effect] = (), held: Sequence[Any] = (),
-                 name: str = "problem"):
+    def __init__(
+        self,
+        observations: Sequence[Observations],
+        constraints: Sequence[Constraint] = (),
+        quantities: Sequence[Quantity] = (),
+        effects: Sequence[Effect] = (),
+        held: Sequence[Any] = (),
+        name: str = "problem",
+    ):
         self.name = name
-        self.observations, self.constraints, self.quantities = tuple(observations), tuple(constraints), tuple(quantities)
+        self.observations, self.constraints, self.quantities = (
+            tuple(observations),
+            tuple(constraints),
+            tuple(quantities),
+        )
         self.attached: tuple[Attached, ...] = ()
         self.held_masks: Mapping[Unknown, NDArray[np.bool_]] = {}
         if not self.observations:
@@ -86,11 +106,16 @@ class Problem(Frozen):
             self.__dict__.update(self.hold(*held).__dict__)
 
     def _check_names(self) -> None:
-        for what, names in (("unknowns", [u.name for u in self.unknowns]), ("groups", [o.group for o in self.observations]),
-                            ("quantities", [q.name for q in self.quantities])):
+        for what, names in (
+            ("unknowns", [u.name for u in self.unknowns]),
+            ("groups", [o.group for o in self.observations]),
+            ("quantities", [q.name for q in self.quantities]),
+        ):
             twice = {n for n in names if names.count(n) > 1}
             if twice:
-                raise DeclarationError(f"{self.name}: two {what} are called '{sorted(twice)[0]}'; give each its own name.")
+                raise DeclarationError(
+                    f"{self.name}: two {what} are called '{sorted(twice)[0]}'; give each its own name."
+                )
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -112,7 +137,9 @@ class Problem(Frozen):
             if attached.effect is effect or effect in (attached.effect.name, attached.effect.label):
                 return attached
         name = effect if isinstance(effect, str) else effect.label
-        raise DeclarationError(f"{self.name} has no effect '{name}'; {self._known([a.effect.label for a in self.attached], name)}")
+        raise DeclarationError(
+            f"{self.name} has no effect '{name}'; {self._known([a.effect.label for a in self.attached], name)}"
+        )
 
     @staticmethod
     def _known(names: Sequence[str], wanted: str) -> str:
@@ -138,10 +165,14 @@ class Problem(Frozen):
             selection = Selection(by_name[what])
         if selection.unknown not in self.unknowns:
             if selection.unknown.name in [u.name for u in self.unknowns]:
-                raise DeclarationError(f"'{selection.unknown.name}' of {self.name} is another unknown of the same name; use the "
-                                       "handle that this problem was declared with, or its name.")
-            raise DeclarationError(f"unknown '{selection.unknown.name}' does not occur in {self.name}; "
-                                   f"{self._known([u.name for u in self.unknowns], selection.unknown.name)}")
+                raise DeclarationError(
+                    f"'{selection.unknown.name}' of {self.name} is another unknown of the same name; use the "
+                    "handle that this problem was declared with, or its name."
+                )
+            raise DeclarationError(
+                f"unknown '{selection.unknown.name}' does not occur in {self.name}; "
+                f"{self._known([u.name for u in self.unknowns], selection.unknown.name)}"
+            )
         return selection
 
     def _with(self, **changes: Any) -> Problem:
@@ -154,7 +185,9 @@ class Problem(Frozen):
         masks = dict(self.held_masks)
         for item in what:
             selection = self.select(item)
-            mask = masks.get(selection.unknown, np.zeros((selection.unknown.count, selection.unknown.freedom), bool)).copy()
+            mask = masks.get(
+                selection.unknown, np.zeros((selection.unknown.count, selection.unknown.freedom), bool)
+            ).copy()
             mask[selection.mask()] = held
             mask.flags.writeable = False
             masks[selection.unknown] = mask
@@ -184,8 +217,11 @@ class Problem(Frozen):
         again = []
         for attached in self.attached:
             anew = _attach(attached.effect, bigger.observations)
-            again.append(Attached(attached.effect, attached.unknown, attached.keys, anew.places)
-                         if anew.keys == attached.keys else anew)
+            again.append(
+                Attached(attached.effect, attached.unknown, attached.keys, anew.places)
+                if anew.keys == attached.keys
+                else anew
+            )
         return bigger._with(attached=tuple(again))
 
     def with_quantities(self, *quantities: Quantity) -> Problem:
@@ -210,8 +246,9 @@ class Problem(Frozen):
     def with_uncertainty(self, uncertainties: Mapping[Any, Any]) -> Problem:
         """The same problem with other Gaussians: {group or observations: Gaussian}."""
         new = {self._group(key): u for key, u in uncertainties.items()}
-        return self._replaced(lambda o: o.with_readings(None if o.readings is None else o.readings, new[o.group])
-                              if o.group in new else o)
+        return self._replaced(
+            lambda o: o.with_readings(None if o.readings is None else o.readings, new[o.group]) if o.group in new else o
+        )
 
     def keep(self, rows: Mapping[Any, NDArray[np.bool_]]) -> Problem:
         """The same problem with only some rows: {group or observations: (n,) true where a row stays}.
@@ -219,7 +256,9 @@ class Problem(Frozen):
         A group of which nothing stays is left out. Effects keep their parameters.
         """
         masks = {self._group(key): np.asarray(mask, bool) for key, mask in rows.items()}
-        return self._replaced(lambda o: o if o.group not in masks else o.keep(masks[o.group]) if masks[o.group].any() else None)
+        return self._replaced(
+            lambda o: o if o.group not in masks else o.keep(masks[o.group]) if masks[o.group].any() else None
+        )
 
     def without(self, *groups: Any) -> Problem:
         """The same problem without some groups of observations."""
@@ -227,5 +266,7 @@ class Problem(Frozen):
         return self._replaced(lambda o: None if o.group in names else o)
 
     def __repr__(self) -> str:
-        return (f"Problem('{self.name}', {len(self.observations)} groups, "
-                f"{sum(o.n for o in self.observations)} rows, {len(self.unknowns)} unknowns)")
+        return (
+            f"Problem('{self.name}', {len(self.observations)} groups, "
+            f"{sum(o.n for o in self.observations)} rows, {len(self.unknowns)} unknowns)"
+        )

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-CHUNK = 4096    # rows at a time: the work vectors of a few hundred instructions then stay in the cache
+Array = NDArray[Any]
+CHUNK = 4096  # rows at a time: the work vectors of a few hundred instructions then stay in the cache
 
 _erf = np.vectorize(math.erf, otypes=[float])
 
@@ -29,20 +29,56 @@ def _copysign_sign(x: Any) -> Any:
 
 
 _UNARY: dict[str, Callable[..., Any]] = {
-    "ASSIGN": lambda x: x, "NEG": np.negative, "EXP": np.exp, "LOG": np.log, "SQRT": np.sqrt, "SQ": lambda x: x * x,
-    "TWICE": lambda x: 2.0 * x, "SIN": np.sin, "COS": np.cos, "TAN": np.tan, "ASIN": np.arcsin, "ACOS": np.arccos,
-    "ATAN": np.arctan, "NOT": lambda x: np.equal(x, 0.0) * 1.0, "FLOOR": np.floor, "CEIL": np.ceil, "FABS": np.abs,
-    "SIGN": _copysign_sign, "ERF": _erf, "INV": lambda x: 1.0 / x, "SINH": np.sinh, "COSH": np.cosh, "TANH": np.tanh,
-    "ASINH": np.arcsinh, "ACOSH": np.arccosh, "ATANH": np.arctanh, "LOG1P": np.log1p, "EXPM1": np.expm1,
+    "ASSIGN": lambda x: x,
+    "NEG": np.negative,
+    "EXP": np.exp,
+    "LOG": np.log,
+    "SQRT": np.sqrt,
+    "SQ": lambda x: x * x,
+    "TWICE": lambda x: 2.0 * x,
+    "SIN": np.sin,
+    "COS": np.cos,
+    "TAN": np.tan,
+    "ASIN": np.arcsin,
+    "ACOS": np.arccos,
+    "ATAN": np.arctan,
+    "NOT": lambda x: np.equal(x, 0.0) * 1.0,
+    "FLOOR": np.floor,
+    "CEIL": np.ceil,
+    "FABS": np.abs,
+    "SIGN": _copysign_sign,
+    "ERF": _erf,
+    "INV": lambda x: 1.0 / x,
+    "SINH": np.sinh,
+    "COSH": np.cosh,
+    "TANH": np.tanh,
+    "ASINH": np.arcsinh,
+    "ACOSH": np.arccosh,
+    "ATANH": np.arctanh,
+    "LOG1P": np.log1p,
+    "EXPM1": np.expm1,
 }
 _BINARY: dict[str, Callable[..., Any]] = {
-    "ADD": np.add, "SUB": np.subtract, "MUL": np.multiply, "DIV": np.divide, "POW": np.power, "CONSTPOW": np.power,
-    "LT": lambda x, y: np.less(x, y) * 1.0, "LE": lambda x, y: np.less_equal(x, y) * 1.0,
-    "EQ": lambda x, y: np.equal(x, y) * 1.0, "NE": lambda x, y: np.not_equal(x, y) * 1.0,
-    "AND": lambda x, y: np.logical_and(x, y) * 1.0, "OR": lambda x, y: np.logical_or(x, y) * 1.0,
-    "FMOD": np.fmod, "REMAINDER": _remainder, "COPYSIGN": np.copysign,
-    "IF_ELSE_ZERO": lambda condition, x: np.where(condition, x, 0.0), "FMIN": np.fmin, "FMAX": np.fmax,
-    "ATAN2": np.arctan2, "HYPOT": np.hypot,
+    "ADD": np.add,
+    "SUB": np.subtract,
+    "MUL": np.multiply,
+    "DIV": np.divide,
+    "POW": np.power,
+    "CONSTPOW": np.power,
+    "LT": lambda x, y: np.less(x, y) * 1.0,
+    "LE": lambda x, y: np.less_equal(x, y) * 1.0,
+    "EQ": lambda x, y: np.equal(x, y) * 1.0,
+    "NE": lambda x, y: np.not_equal(x, y) * 1.0,
+    "AND": lambda x, y: np.logical_and(x, y) * 1.0,
+    "OR": lambda x, y: np.logical_or(x, y) * 1.0,
+    "FMOD": np.fmod,
+    "REMAINDER": _remainder,
+    "COPYSIGN": np.copysign,
+    "IF_ELSE_ZERO": lambda condition, x: np.where(condition, x, 0.0),
+    "FMIN": np.fmin,
+    "FMAX": np.fmax,
+    "ATAN2": np.arctan2,
+    "HYPOT": np.hypot,
 }
 
 
@@ -90,7 +126,7 @@ class Program:
 
     def __call__(self, inputs: Sequence[Any], n: int) -> Array:
         result = np.empty((self.outputs, n))
-        with np.errstate(all="ignore"):          # a value that is not finite is found and named where it matters
+        with np.errstate(all="ignore"):  # a value that is not finite is found and named where it matters
             for begin in range(0, n, CHUNK):
                 rows = slice(begin, min(begin + CHUNK, n))
                 self._run([x[rows] if np.ndim(x) else x for x in inputs] if n > CHUNK else inputs, result[:, rows])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from calib.uncertainty import Weighting
 from calib.unknown import Unknown
 
 Values = Mapping[Unknown, Array]
+B = TypeVar("B", bound=BoundModel)
 
 
 @dataclass(frozen=True)
@@ -27,12 +28,11 @@ class _Feed:
     """One source of a row function, bound: an unknown with the instance of each row, or data (n or 1, width)."""
 
     unknown: Unknown | None
-    index: NDArray[np.int64] | None
-    data: Array | None
+    index: NDArray[np.int64]
+    data: Array
 
     def inputs(self, values: Values) -> list[Any]:
         if self.unknown is None:
-            assert self.data is not None
             return [c[0] if len(c) == 1 else c for c in np.ascontiguousarray(self.data.T)]
         stored = values[self.unknown]
         if self.unknown.count == 1:
@@ -40,15 +40,16 @@ class _Feed:
         return list(np.ascontiguousarray(stored[self.index].T))
 
 
-class Term:
+class Term(Generic[B]):
     """One bound model in a system: its row functions and where its arguments stand among the columns."""
 
-    def __init__(self, bound: BoundModel, traced: Traced, feeds: Sequence[_Feed], layout: Layout):
+    def __init__(self, bound: B, traced: Traced, feeds: Sequence[_Feed], layout: Layout):
         self.bound, self.traced, self.feeds = bound, traced, tuple(feeds)
         self.n, self.dim = bound.n, traced.dim
-        self.columns = [None if f.unknown is None else layout.columns(f.unknown, f.index) for f in feeds]
-        self.any_free = tuple(c is not None and bool(layout.free[c].any()) for c in self.columns)
-        self.any_unknown = tuple(c is not None for c in self.columns)
+        nothing = np.zeros((self.n, 0), dtype=np.int64)
+        self.columns = [nothing if f.unknown is None else layout.columns(f.unknown, f.index) for f in feeds]
+        self.any_free = tuple(bool(layout.free[c].any()) for c in self.columns)
+        self.any_unknown = tuple(f.unknown is not None for f in feeds)
 
     def _inputs(self, values: Values) -> list[Any]:
         return [column for feed in self.feeds for column in feed.inputs(values)]
@@ -69,7 +70,7 @@ class Term:
                 jacobian = result[begin:end].reshape(source.freedom, self.dim, self.n).transpose(2, 1, 0)
                 parts.append(Part(columns, np.ascontiguousarray(jacobian)))
                 begin = end
-        return np.ascontiguousarray(result[:self.dim].T), parts
+        return np.ascontiguousarray(result[: self.dim].T), parts
 
     def matrix(self, values: Values, size: int) -> tuple[Array, Array]:
         """Predictions (n, dim) and their derivatives (n dim, size) with respect to all columns."""
@@ -85,12 +86,14 @@ class Term:
         return columns, flat.reshape(size, size, self.n).transpose(2, 0, 1)
 
 
-def _excess(term: Term, value: Array) -> tuple[Array, Array]:
-    """By how much values (n, dim) of a constraint lie over its upper and under its lower limit, in its tolerance (n dim,)."""
+def _excess(term: Term[Constraint], value: Array) -> tuple[Array, Array]:
+    """By how much values (n, dim) of a constraint lie over its upper and under its lower limit, in its tolerance (n
+    dim,)."""
     constraint = term.bound
-    assert isinstance(constraint, Constraint)
-    return (((value - constraint.upper) / constraint.tolerance).ravel(),
-            ((constraint.lower - value) / constraint.tolerance).ravel())
+    return (
+        ((value - constraint.upper) / constraint.tolerance).ravel(),
+        ((constraint.lower - value) / constraint.tolerance).ravel(),
+    )
 
 
 class System:
@@ -104,50 +107,53 @@ class System:
         self.problem = problem
         self.layout = Layout(problem.unknowns, {u: problem.is_held(u) for u in problem.unknowns})
         self.terms = tuple(self._term(o) for o in problem.observations)
-        self.conditions = tuple(self._plain(c) for c in problem.constraints)
+        self.conditions = tuple(self.plain(c) for c in problem.constraints)
         for term in self.terms:
             observations = term.bound
-            assert isinstance(observations, Observations)
             if observations.readings is not None and observations.readings.shape != (term.n, term.dim):
-                raise CalibrationError(f"observations '{observations.group}': the model {observations.model_name} predicts "
-                                       f"{term.dim} components for {term.n} rows, the readings have shape "
-                                       f"{observations.readings.shape}.")
+                raise CalibrationError(
+                    f"observations '{observations.group}': the model {observations.model_name} predicts "
+                    f"{term.dim} components for {term.n} rows, the readings have shape "
+                    f"{observations.readings.shape}."
+                )
 
     def _feeds(self, bound: BoundModel) -> list[_Feed]:
         return [_Feed(a.unknown, a.index, a.data) for a in bound.arguments]
 
-    def _term(self, observations: Observations) -> Term:
+    def _term(self, observations: Observations) -> Term[Observations]:
         acting = [a for a in self.problem.attached if observations.group in a.places]
         needed = {name for a in acting for name in a.effect.inputs}
         covariates = tuple(name for name in numeric_covariates(observations) if name in needed)
         traced = trace(observations, tuple(a.effect for a in acting), tuple(a.unknown for a in acting), covariates)
         feeds = self._feeds(observations)
-        feeds += [_Feed(a.unknown, a.index(observations), None) for a in acting]
-        feeds += [_Feed(None, None, np.asarray(observations.covariates[c], float)[:, None]) for c in covariates]
+        feeds += [_Feed(a.unknown, a.index(observations), np.zeros((0, 0))) for a in acting]
+        none = np.zeros(0, dtype=np.int64)
+        feeds += [_Feed(None, none, np.asarray(observations.covariates[c], float)[:, None]) for c in covariates]
         return Term(observations, traced, feeds, self.layout)
 
-    def _plain(self, bound: BoundModel) -> Term:
+    def plain(self, bound: B) -> Term[B]:
+        """A bound model without effects, ready to evaluate."""
         return Term(bound, trace(bound), self._feeds(bound), self.layout)
 
     @cached_property
-    def results(self) -> dict[Quantity, Term]:
+    def results(self) -> dict[Quantity, Term[Quantity]]:
         """The quantities, ready to evaluate."""
-        return {q: self._plain(q) for q in self.problem.quantities}
+        return {q: self.plain(q) for q in self.problem.quantities}
 
     @property
     def affine(self) -> bool:
         """Whether every prediction and condition is affine in the unknowns."""
-        return all(t.traced.affine for t in (*self.terms, *self.conditions))
+        return all(t.traced.affine for t in self.terms) and all(t.traced.affine for t in self.conditions)
 
     # --- observations ---------------------------------------------------------------------------------------------
 
     def weightings(self, values: Values) -> list[Weighting]:
-        """Row operations of every group of observations; those that depend on row quantities are taken at the values."""
+        """Row operations of every group of observations; those that depend on row quantities are taken at the
+        values."""
         return [self._weighting(term, values) for term in self.terms]
 
-    def _weighting(self, term: Term, values: Values) -> Weighting:
+    def _weighting(self, term: Term[Observations], values: Values) -> Weighting:
         observations = term.bound
-        assert isinstance(observations, Observations)
 
         def quantity(name: str) -> Array:
             if name == "reading":
@@ -156,8 +162,11 @@ class System:
                 if argument.name == name:
                     source = values[feed.unknown][feed.index] if feed.unknown is not None else feed.data
                     return np.broadcast_to(source, (term.n, source.shape[1]))
-            raise CalibrationError(f"observations '{observations.group}': the uncertainty depends on '{name}', which is "
-                                   f"neither `reading` nor an argument of {observations.model_name}.")
+            raise CalibrationError(
+                f"observations '{observations.group}': the uncertainty depends on '{name}', which is "
+                f"neither `reading` nor an argument of {observations.model_name}."
+            )
+
         return observations.uncertainty.weighting(term.n, term.dim, f"observations '{observations.group}'", quantity)
 
     @cached_property
@@ -165,23 +174,27 @@ class System:
         """Whether any uncertainty depends on row quantities."""
         return any(o.uncertainty.needs for o in self.problem.observations)
 
-    def residual(self, term: Term, predicted: Array) -> Array:
-        """Reading minus prediction (n, dim), brought into half a period where readings are periodic; zero if planned."""
+    def residual(self, term: Term[Observations], predicted: Array) -> Array:
+        """Reading minus prediction (n, dim), brought into half a period where readings are periodic; zero if
+        planned."""
         observations = term.bound
-        assert isinstance(observations, Observations)
         if observations.readings is None:
             return np.zeros_like(predicted)
         residual = observations.readings - predicted
         if observations.period is not None:
-            periods = [observations.period] * term.dim if np.ndim(observations.period) == 0 else list(observations.period)
+            periods = (
+                [observations.period] * term.dim if np.ndim(observations.period) == 0 else list(observations.period)
+            )
             for j, period in enumerate(periods):
                 if period is not None:
                     residual[:, j] -= period * np.rint(residual[:, j] / period)
         bad = np.argwhere(~np.isfinite(residual))
         if len(bad):
-            raise ModelBreakdown(f"observations '{observations.group}', row {observations.rows[bad[0][0]]}: the model "
-                                   f"{observations.model_name} gives {predicted[tuple(bad[0])]} at the present values of "
-                                 f"{', '.join(u.name for u in observations.unknowns)}; start nearer, or mend the model there.")
+            raise ModelBreakdown(
+                f"observations '{observations.group}', row {observations.rows[bad[0][0]]}: the model "
+                f"{observations.model_name} gives {predicted[tuple(bad[0])]} at the present values of "
+                f"{', '.join(u.name for u in observations.unknowns)}; start nearer, or mend the model there."
+            )
         return residual
 
     def residuals(self, values: Values) -> list[Array]:
@@ -190,8 +203,11 @@ class System:
 
     def whitened(self, values: Values, weightings: Sequence[Weighting]) -> Array:
         """All whitened residuals in one vector."""
-        pieces = [m.apply(r, ()).residual.ravel() for r, w in zip(self.residuals(values), weightings, strict=True)
-                  for m in w.whitening]
+        pieces = [
+            m.apply(r, ()).residual.ravel()
+            for r, w in zip(self.residuals(values), weightings, strict=True)
+            for m in w.whitening
+        ]
         return np.concatenate(pieces)
 
     def blocks(self, values: Values, weightings: Sequence[Weighting]) -> list[Block]:
@@ -210,7 +226,6 @@ class System:
         excess, matrices, tolerances = [np.zeros(0)], [np.zeros((0, self.layout.size))], [np.zeros(0)]
         for term in self.conditions:
             constraint = term.bound
-            assert isinstance(constraint, Constraint)
             if constraint.is_equality:
                 value, matrix = term.matrix(values, self.layout.size)
                 excess.append((value - constraint.lower).ravel())
@@ -243,15 +258,17 @@ class System:
                     continue
                 over, under = _excess(term, term.predict(values))
                 for rows, sign in ((slice(None), 1.0),) if equality else ((over >= -1.0, 1.0), (under >= -1.0, -1.0)):
-                    array[rows] += sign * multipliers[taken:taken + len(array[rows])]
+                    array[rows] += sign * multipliers[taken : taken + len(array[rows])]
                     taken += len(array[rows])
         return [a.reshape(t.n, t.dim) for a, t in zip(arrays, self.conditions, strict=True)]
 
     def second_order(self, values: Values, weightings: Sequence[Weighting], multipliers: Array) -> Array:
-        """What the exact Hessian of half v'Pv and of the conditions adds to the normal matrix, over the free columns."""
+        """What the exact Hessian of half v'Pv and of the conditions adds to the normal matrix, over the free
+        columns."""
         matrix = np.zeros((self.layout.size, self.layout.size))
         weighed = [-w.weigh(r) for w, r in zip(weightings, self.residuals(values), strict=True)]
-        for term, weights in zip((*self.terms, *self.conditions), (*weighed, *self.forces(values, multipliers)), strict=True):
+        terms: list[Term[Any]] = [*self.terms, *self.conditions]
+        for term, weights in zip(terms, [*weighed, *self.forces(values, multipliers)], strict=True):
             if not term.traced.affine and any(term.any_free):
                 columns, hessians = term.curvature(values, weights)
                 np.add.at(matrix, (columns[:, :, None], columns[:, None, :]), hessians)
@@ -264,4 +281,4 @@ class System:
 
     def result(self, quantity: Quantity, values: Values) -> tuple[Array, Array]:
         """Values (n, dim) of a quantity and their derivatives (n dim, size) with respect to all columns."""
-        return (self.results.get(quantity) or self._plain(quantity)).matrix(values, self.layout.size)
+        return (self.results.get(quantity) or self.plain(quantity)).matrix(values, self.layout.size)

@@ -28,10 +28,16 @@ class Weighting:
 
     def scaled(self, factor: float) -> Weighting:
         """The same with every standard uncertainty multiplied by a factor."""
+
         def times(mixings: tuple[Mixing, ...], by: float) -> tuple[Mixing, ...]:
             return tuple(Mixing(m.rows, m.matrix * by) for m in mixings)
-        return Weighting(self.u * factor, times(self.whitening, 1 / factor), times(self.weights, factor ** -2),
-                         times(self.factors, factor))
+
+        return Weighting(
+            self.u * factor,
+            times(self.whitening, 1 / factor),
+            times(self.weights, factor**-2),
+            times(self.factors, factor),
+        )
 
     def weigh(self, residual: Array) -> Array:
         """Inverse covariance times residuals (n, dim)."""
@@ -57,7 +63,8 @@ class Gaussian:
 
     @staticmethod
     def standard(u: ArrayLike) -> Gaussian:
-        """Independent readings with standard uncertainties u: a number, (dim,), (n,) where dim is 1, or (n, dim); SI."""
+        """Independent readings with standard uncertainties u: a number, (dim,), (n,) where dim is 1, or (n, dim);
+        SI."""
         return _Independent(np.asarray(u, float))
 
     @staticmethod
@@ -79,8 +86,9 @@ class Gaussian:
 
         u: number or (n,); correlation: of neighbours, in (-1, 1); order: (n,) sorts each chain; chain: (n,) keys.
         """
-        return _Serial(np.asarray(u, float), float(correlation), np.asarray(order),
-                       None if chain is None else np.asarray(chain))
+        return _Serial(
+            np.asarray(u, float), float(correlation), np.asarray(order), None if chain is None else np.asarray(chain)
+        )
 
     @staticmethod
     def depending(function: Callable[..., ArrayLike]) -> Gaussian:
@@ -111,12 +119,16 @@ def _checked(u: Array, n: int, dim: int, where: str) -> Array:
     try:
         full = np.array(np.broadcast_to(u, (n, dim)))
     except ValueError:
-        raise DeclarationError(f"{where}: the uncertainties have shape {u.shape}, the readings ({n}, {dim}); give a "
-                               "number, one per component, or one per reading.") from None
+        raise DeclarationError(
+            f"{where}: the uncertainties have shape {u.shape}, the readings ({n}, {dim}); give a "
+            "number, one per component, or one per reading."
+        ) from None
     wrong = np.argwhere(~(np.isfinite(full) & (full > 0)))
     if len(wrong):
-        raise DeclarationError(f"{where}: the standard uncertainty of row {wrong[0][0] + 1} is {full[tuple(wrong[0])]:g}; "
-                               "it must be a positive number (hold an unknown to say that something is exact).")
+        raise DeclarationError(
+            f"{where}: the standard uncertainty of row {wrong[0][0] + 1} is {full[tuple(wrong[0])]:g}; "
+            "it must be a positive number (hold an unknown to say that something is exact)."
+        )
     return full
 
 
@@ -124,8 +136,10 @@ def _root(matrices: Array, where: str) -> Array:
     try:
         return np.linalg.cholesky(matrices)
     except np.linalg.LinAlgError:
-        raise DeclarationError(f"{where}: a covariance matrix is not positive definite; a zero variance means 'exact' "
-                               "(hold the unknown instead), a negative eigenvalue means a wrong correlation.") from None
+        raise DeclarationError(
+            f"{where}: a covariance matrix is not positive definite; a zero variance means 'exact' "
+            "(hold the unknown instead), a negative eigenvalue means a wrong correlation."
+        ) from None
 
 
 def _whole_rows(n: int) -> NDArray[np.int64]:
@@ -147,7 +161,7 @@ class _Independent(Gaussian):
 
     def weighting(self, n, dim, where, quantities=None):  # type: ignore[no-untyped-def]
         u, rows = _checked(self.u, n, dim, where), _whole_rows(n)
-        return Weighting(u, (Mixing(rows, 1 / u),), (Mixing(rows, u ** -2.0),), (Mixing(rows, u),))
+        return Weighting(u, (Mixing(rows, 1 / u),), (Mixing(rows, u**-2.0),), (Mixing(rows, u),))
 
 
 @dataclass(frozen=True)
@@ -161,8 +175,10 @@ class _RowMatrix(Gaussian):
         try:
             full = np.broadcast_to(self.covariance, (n, dim, dim))
         except ValueError:
-            raise DeclarationError(f"{where}: the covariance has shape {self.covariance.shape}; for {n} rows of {dim} "
-                                   f"components give ({dim}, {dim}) or ({n}, {dim}, {dim}).") from None
+            raise DeclarationError(
+                f"{where}: the covariance has shape {self.covariance.shape}; for {n} rows of {dim} "
+                f"components give ({dim}, {dim}) or ({n}, {dim}, {dim})."
+            ) from None
         whitening, weights, factor = _full(_whole_rows(n), full, where)
         return Weighting(np.sqrt(np.einsum("nii->ni", full)), (whitening,), (weights,), (factor,))
 
@@ -193,12 +209,15 @@ class _Grouped(Gaussian):
             covariance = self.matrices.get(key)
             if covariance is None or covariance.shape != (size, size):
                 found = "missing" if covariance is None else f"of shape {covariance.shape}"
-                raise DeclarationError(f"{where}: the covariance matrix of group '{key}' is {found}; it must be "
-                                       f"({size}, {size}).")
+                raise DeclarationError(
+                    f"{where}: the covariance matrix of group '{key}' is {found}; it must be ({size}, {size})."
+                )
             u[rows] = np.sqrt(np.diag(covariance)).reshape(-1, dim)
             by_size.setdefault(len(rows), []).append((rows, covariance))
-        triples = [_full(np.stack([r for r, _ in members]), np.stack([c for _, c in members]), where)
-                   for members in by_size.values()]
+        triples = [
+            _full(np.stack([r for r, _ in members]), np.stack([c for _, c in members]), where)
+            for members in by_size.values()
+        ]
         whitening, weights, factors = zip(*triples, strict=True)
         return Weighting(u, whitening, weights, factors)
 
@@ -211,13 +230,19 @@ class _Serial(Gaussian):
     chain: NDArray | None
 
     def kept(self, keep: NDArray[np.bool_]) -> Gaussian:
-        return _Serial(self.u[keep] if self.u.ndim else self.u, self.correlation, self.order[keep],
-                       None if self.chain is None else self.chain[keep])
+        return _Serial(
+            self.u[keep] if self.u.ndim else self.u,
+            self.correlation,
+            self.order[keep],
+            None if self.chain is None else self.chain[keep],
+        )
 
     def weighting(self, n, dim, where, quantities=None):  # type: ignore[no-untyped-def]
         if dim != 1:
-            raise DeclarationError(f"{where}: serial correlation is declared for scalar readings; these have {dim} "
-                                   "components; declare one group for each component.")
+            raise DeclarationError(
+                f"{where}: serial correlation is declared for scalar readings; these have {dim} "
+                "components; declare one group for each component."
+            )
         if not -1.0 < self.correlation < 1.0:
             raise DeclarationError(f"{where}: a serial correlation of {self.correlation:g} is not between -1 and 1.")
         u = _checked(self.u, n, 1, where)[:, 0]
@@ -226,7 +251,7 @@ class _Serial(Gaussian):
         first = np.ones(n, dtype=bool)
         first[1:] = chains[sequence][1:] != chains[sequence][:-1]
         last = np.append(first[1:], True)
-        rho, scale = self.correlation, 1 / np.sqrt(1 - self.correlation ** 2)
+        rho, scale = self.correlation, 1 / np.sqrt(1 - self.correlation**2)
         here, before = sequence, np.roll(sequence, 1)
         after = np.roll(sequence, -1)
 
@@ -238,20 +263,23 @@ class _Serial(Gaussian):
         lone, inner = first & last, ~first & ~last
         weights = []
         for select, sources, band in (
-                (lone, (here,), (1.0,)), (first & ~last, (here, after), (scale ** 2, -rho * scale ** 2)),
-                (last & ~first, (here, before), (scale ** 2, -rho * scale ** 2)),
-                (inner, (here, before, after), ((1 + rho ** 2) * scale ** 2, -rho * scale ** 2, -rho * scale ** 2))):
+            (lone, (here,), (1.0,)),
+            (first & ~last, (here, after), (scale**2, -rho * scale**2)),
+            (last & ~first, (here, before), (scale**2, -rho * scale**2)),
+            (inner, (here, before, after), ((1 + rho**2) * scale**2, -rho * scale**2, -rho * scale**2)),
+        ):
             rows = np.stack([s[select] for s in sources], axis=1)
             if len(rows):
                 weights.append(Mixing(rows, (np.array(band) / (u[rows] * u[rows[:, :1]]))[:, None, :]))
-        return Weighting(u[:, None], tuple(w for w in whitening if len(w.rows)), tuple(weights),
-                         self._factors(u, sequence, first))
+        return Weighting(
+            u[:, None], tuple(w for w in whitening if len(w.rows)), tuple(weights), self._factors(u, sequence, first)
+        )
 
     def _factors(self, u: Array, sequence: NDArray, first: NDArray) -> tuple[Mixing, ...]:
         mixings = []
         for chain in np.split(sequence, np.flatnonzero(first)[1:]):
             lag = np.abs(np.subtract.outer(np.arange(len(chain)), np.arange(len(chain))))
-            root = np.linalg.cholesky(self.correlation ** lag) if self.correlation else np.eye(len(chain))
+            root = np.linalg.cholesky(self.correlation**lag) if self.correlation else np.eye(len(chain))
             mixings.append(Mixing(chain[None, :], (u[chain][:, None] * root)[None]))
         return tuple(mixings)
 
@@ -259,7 +287,7 @@ class _Serial(Gaussian):
 @dataclass(frozen=True)
 class _Depending(Gaussian):
     function: Callable[..., ArrayLike]
-    keep: NDArray[np.bool_] | None = None      # which of the rows that the function was written for are still there
+    keep: NDArray[np.bool_] | None = None  # which of the rows that the function was written for are still there
 
     def kept(self, keep: NDArray[np.bool_]) -> Gaussian:
         if self.keep is None:
@@ -273,7 +301,7 @@ class _Depending(Gaussian):
         return tuple(inspect.signature(self.function).parameters)
 
     def weighting(self, n, dim, where, quantities=None):  # type: ignore[no-untyped-def]
-        arrays = [quantities(name) for name in self.needs]   # type: ignore[misc]
+        arrays = [quantities(name) for name in self.needs]  # type: ignore[misc]
         if self.keep is not None:
             place = np.maximum(np.cumsum(self.keep) - 1, 0)
             arrays = [a[place] for a in arrays]

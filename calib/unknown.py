@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -13,7 +14,7 @@ from calib import geometry
 from calib.errors import DeclarationError
 from calib.frozen import Frozen
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +28,10 @@ class Selection:
     def part(self, *names: str) -> Selection:
         """Restrict the selection to named parts."""
         return Selection(self.unknown, self.index, self.unknown.part(*names).parts)
+
+    def instances(self) -> NDArray[np.int64]:
+        """Numbers of the instances, as they were asked for."""
+        return np.arange(self.unknown.count) if self.index is None else self.index
 
     def mask(self) -> NDArray[np.bool_]:
         """Boolean array (count, freedom) that is true where this selection points."""
@@ -50,21 +55,44 @@ class Unknown(Frozen):
 
     kind = "vector"
 
-    def __init__(self, name: str, start: ArrayLike = 0.0, unit: str | Sequence[str] = "1",
-                 parts: Sequence[str] | None = None, keys: Sequence[object] | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf):
+    def __init__(
+        self,
+        name: str,
+        start: ArrayLike = 0.0,
+        unit: str | Sequence[str] = "1",
+        parts: Sequence[str] | None = None,
+        keys: Sequence[object] | None = None,
+        lower: ArrayLike = -np.inf,
+        upper: ArrayLike = np.inf,
+    ):
         values = np.array(start, dtype=float)
         if values.ndim > 2:
-            raise DeclarationError(f"Unknown '{name}': the start value has {values.ndim} dimensions; give a number, "
-                                   "(dim,) for one instance or (count, dim) for several.")
-        self._declare(name, np.atleast_2d(values), values.shape, keys,
-                      [unit] * (values.shape[-1] if values.ndim else 1) if isinstance(unit, str) else list(unit), parts)
+            raise DeclarationError(
+                f"Unknown '{name}': the start value has {values.ndim} dimensions; give a number, "
+                "(dim,) for one instance or (count, dim) for several."
+            )
+        self._declare(
+            name,
+            np.atleast_2d(values),
+            values.shape,
+            keys,
+            [unit] * (values.shape[-1] if values.ndim else 1) if isinstance(unit, str) else list(unit),
+            parts,
+        )
         self.lower = np.broadcast_to(np.asarray(lower, float), self.ambient.shape)
         self.upper = np.broadcast_to(np.asarray(upper, float), self.ambient.shape)
         if np.any(self.lower > self.upper):
             raise DeclarationError(f"Unknown '{name}': a lower bound lies above its upper bound.")
 
-    def _declare(self, name: str, ambient: Array, shape: tuple[int, ...], keys: Sequence[object] | None,
-                 units: Sequence[str], parts: Sequence[str] | None) -> None:
+    def _declare(
+        self,
+        name: str,
+        ambient: Array,
+        shape: tuple[int, ...],
+        keys: Sequence[object] | None,
+        units: Sequence[str],
+        parts: Sequence[str] | None,
+    ) -> None:
         self.name, self.ambient, self.shape = name, ambient, shape
         self.ambient.flags.writeable = False
         self.count = len(ambient)
@@ -77,14 +105,20 @@ class Unknown(Frozen):
         self.lower = np.full((self.count, self.freedom), -np.inf)
         self.upper = np.full((self.count, self.freedom), np.inf)
         if self.kind == "vector" and self.freedom != self.width:
-            raise DeclarationError(f"Unknown '{name}' has {self.width} parts but {self.freedom} units; give one unit for "
-                                   "all parts or one for each.")
+            raise DeclarationError(
+                f"Unknown '{name}' has {self.width} parts but {self.freedom} units; give one unit for "
+                "all parts or one for each."
+            )
         if len(self.parts) != self.freedom:
-            raise DeclarationError(f"Unknown '{name}' has {self.freedom} parts but {len(self.parts)} part names "
-                                   f"{self.parts}; name each part once.")
+            raise DeclarationError(
+                f"Unknown '{name}' has {self.freedom} parts but {len(self.parts)} part names "
+                f"{self.parts}; name each part once."
+            )
         if len(self.keys) != self.count or len(set(self.keys)) != self.count:
-            raise DeclarationError(f"Unknown '{name}' has {self.count} instances but {len(set(self.keys))} different "
-                                   "keys; name each instance once.")
+            raise DeclarationError(
+                f"Unknown '{name}' has {self.count} instances but {len(set(self.keys))} different "
+                "keys; name each instance once."
+            )
         if not np.all(np.isfinite(ambient)):
             raise DeclarationError(f"Unknown '{name}': a start value is not a finite number; give one that is.")
 
@@ -93,11 +127,15 @@ class Unknown(Frozen):
     def __getitem__(self, index: ArrayLike) -> Selection:
         rows = np.asarray(index)
         if rows.dtype.kind not in "iu":
-            raise DeclarationError(f"Unknown '{self.name}' is indexed with {rows.dtype}; use integers "
-                                   "(np.searchsorted or a dictionary turns keys into them).")
+            raise DeclarationError(
+                f"Unknown '{self.name}' is indexed with {rows.dtype}; use integers "
+                "(np.searchsorted or a dictionary turns keys into them)."
+            )
         if rows.size and (rows.min() < 0 or rows.max() >= self.count):
-            raise DeclarationError(f"Unknown '{self.name}' has {self.count} instances; index "
-                                   f"{int(rows.max() if rows.max() >= self.count else rows.min())} does not exist.")
+            raise DeclarationError(
+                f"Unknown '{self.name}' has {self.count} instances; index "
+                f"{int(rows.max() if rows.max() >= self.count else rows.min())} does not exist."
+            )
         return Selection(self, rows.astype(np.int64))
 
     @property
@@ -109,8 +147,9 @@ class Unknown(Frozen):
         """Select parts by name."""
         missing = [n for n in names if n not in self.parts]
         if missing:
-            raise DeclarationError(f"Unknown '{self.name}' has no part '{missing[0]}'; its parts are "
-                                   f"{', '.join(self.parts)}.")
+            raise DeclarationError(
+                f"Unknown '{self.name}' has no part '{missing[0]}'; its parts are {', '.join(self.parts)}."
+            )
         return Selection(self, None, tuple(self.parts.index(n) for n in names))
 
     def label(self, instance: int, part: int) -> str:
@@ -172,14 +211,17 @@ class Rotation(Unknown):
 
     kind = "rotation"
 
-    def __init__(self, name: str, start: ArrayLike | None = None, keys: Sequence[object] | None = None,
-                 unit: str = "rad"):
+    def __init__(
+        self, name: str, start: ArrayLike | None = None, keys: Sequence[object] | None = None, unit: str = "rad"
+    ):
         matrices = np.eye(3) if start is None else np.array(start, dtype=float)
         stack = matrices.reshape(-1, 3, 3)
         error = np.abs(stack @ stack.transpose(0, 2, 1) - np.eye(3)).max()
         if error > 1e-6 or np.any(np.linalg.det(stack) < 0):
-            raise DeclarationError(f"Rotation '{name}': the start value is not a rotation matrix (R R' differs from "
-                                   f"the identity by {error:.1e}); normalise it or exchange rows and columns.")
+            raise DeclarationError(
+                f"Rotation '{name}': the start value is not a rotation matrix (R R' differs from "
+                f"the identity by {error:.1e}); normalise it or exchange rows and columns."
+            )
         self._declare(name, _columns(stack), matrices.shape, keys, [unit] * 3, ("x", "y", "z"))
 
     def argument(self, ambient: ca.SX, local: ca.SX) -> ca.SX:
@@ -190,13 +232,14 @@ class Rotation(Unknown):
         square = np.einsum("ni,ni->n", half, half)[:, None, None]
         turn = (2.0 / (1.0 + square)) * (_skew(half) + _skew(half) @ _skew(half)) + np.eye(3)
         moved = _matrices(ambient) @ turn
-        moved = 0.5 * moved @ (3.0 * np.eye(3) - moved.transpose(0, 2, 1) @ moved)   # stays orthonormal to rounding
+        moved = 0.5 * moved @ (3.0 * np.eye(3) - moved.transpose(0, 2, 1) @ moved)  # stays orthonormal to rounding
         return _columns(moved)
 
     def difference(self, ambient: Array, origin: Array) -> Array:
         turn = _matrices(origin).transpose(0, 2, 1) @ _matrices(ambient)
-        return 0.5 * np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0],
-                               turn[:, 1, 0] - turn[:, 0, 1]], axis=1)
+        return 0.5 * np.stack(
+            [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=1
+        )
 
     def store(self, value: object) -> Array:
         return _columns(np.broadcast_to(np.asarray(value, float), self.shape).reshape(-1, 3, 3))
@@ -223,7 +266,9 @@ class Direction(Unknown):
     def __init__(self, name: str, start: ArrayLike, keys: Sequence[object] | None = None, unit: str = "rad"):
         vectors = np.array(start, dtype=float)
         if np.any(np.linalg.norm(vectors.reshape(-1, 3), axis=1) == 0.0):
-            raise DeclarationError(f"Direction '{name}': a start vector has length zero; give an approximate direction.")
+            raise DeclarationError(
+                f"Direction '{name}': a start vector has length zero; give an approximate direction."
+            )
         self._declare(name, self._frames(vectors.reshape(-1, 3)), vectors.shape, keys, [unit] * 2, ("1", "2"))
 
     @staticmethod
@@ -261,14 +306,27 @@ class Pose(Unknown):
 
     kind = "pose"
 
-    def __init__(self, name: str, rotation: ArrayLike | None = None, translation: ArrayLike = (0.0, 0.0, 0.0),
-                 unit: str = "m", angle_unit: str = "rad", keys: Sequence[object] | None = None):
+    def __init__(
+        self,
+        name: str,
+        rotation: ArrayLike | None = None,
+        translation: ArrayLike = (0.0, 0.0, 0.0),
+        unit: str = "m",
+        angle_unit: str = "rad",
+        keys: Sequence[object] | None = None,
+    ):
         shift = np.array(translation, dtype=float)
         shifts = shift.reshape(-1, 3)
         turns = np.broadcast_to(np.eye(3) if rotation is None else np.asarray(rotation, float), (len(shifts), 3, 3))
         self._turn = Rotation(f"{name}.rotation", turns)
-        self._declare(name, np.concatenate([shifts, self._turn.ambient], axis=1), shift.shape[:-1], keys,
-                      [unit] * 3 + [angle_unit] * 3, ("x", "y", "z", "rx", "ry", "rz"))
+        self._declare(
+            name,
+            np.concatenate([shifts, self._turn.ambient], axis=1),
+            shift.shape[:-1],
+            keys,
+            [unit] * 3 + [angle_unit] * 3,
+            ("x", "y", "z", "rx", "ry", "rz"),
+        )
 
     def argument(self, ambient: ca.SX, local: ca.SX) -> geometry.Transform:
         return geometry.Transform(self._turn.argument(ambient[3:], local[3:]), ambient[:3] + local[:3])
@@ -277,14 +335,18 @@ class Pose(Unknown):
         return np.concatenate([ambient[:, :3] + step[:, :3], self._turn.move(ambient[:, 3:], step[:, 3:])], axis=1)
 
     def difference(self, ambient: Array, origin: Array) -> Array:
-        return np.concatenate([ambient[:, :3] - origin[:, :3],
-                               self._turn.difference(ambient[:, 3:], origin[:, 3:])], axis=1)
+        return np.concatenate(
+            [ambient[:, :3] - origin[:, :3], self._turn.difference(ambient[:, 3:], origin[:, 3:])], axis=1
+        )
 
     def store(self, value: object) -> Array:
-        poses = [value] if isinstance(value, geometry.Transform) else list(value)    # type: ignore[call-overload]
+        poses = [value] if isinstance(value, geometry.Transform) else list(value)  # type: ignore[call-overload]
         turns = np.stack([np.asarray(p.rotation, float) for p in poses])
         return np.concatenate([np.stack([np.asarray(p.translation, float).ravel() for p in poses]), _columns(turns)], 1)
 
     def show(self, ambient: Array) -> object:
-        poses = [geometry.Transform(r, t) for r, t in zip(_matrices(ambient[:, 3:]).copy(), ambient[:, :3].copy(), strict=True)]
+        poses = [
+            geometry.Transform(r, t)
+            for r, t in zip(_matrices(ambient[:, 3:]).copy(), ambient[:, :3].copy(), strict=True)
+        ]
         return poses[0] if self.shape == () else poses

@@ -1,10 +1,12 @@
 """Plumb fit: the direction of vertical turning axes from a level that turns with them, over a part turn or a full one.
 
-The level reads its zero plus the inclination of its seat, eq (1) of Ren, Gao, Zhao (2015), J. Harbin Inst. Tech. 47(10):
+The level reads its zero plus the inclination of its seat, eq (1) of Ren, Gao, Zhao (2015), J. Harbin Inst. Tech.
+47(10):
 
     reading = zero - theta_y cos(gamma) + theta_x sin(gamma)
 
-theta_x, theta_y are the plumb error of the axis; zero holds the zero of the level and the set of its seat against the axis.
+theta_x, theta_y are the plumb error of the axis; zero holds the zero of the level and the set of its seat against the
+axis.
 A known tilt may be applied to a table between set-ups. Several tables may be read; their parallelism is a result.
 """
 
@@ -40,35 +42,57 @@ def level_on_table(axis_tilt: Any, applied_tilt: Any, angle: Any, zero: Any, **s
 def difference(first: Any, second: Any) -> Any:
     """Plumb error of the second table less that of the first, and its length: the parallelism, eq (3) [rad]."""
     x, y = second[0] - first[0], second[1] - first[1]
-    return [x, y, sqrt(x ** 2 + y ** 2)]
+    return [x, y, sqrt(x**2 + y**2)]
 
 
-def declare(angle: ArrayLike, reading: ArrayLike | None, u: ArrayLike | Gaussian, table: Sequence[object] | None = None,
-            applied_tilt: ArrayLike | None = None, covariates: dict[str, Any] | None = None,
-            rows: ArrayLike | None = None) -> Problem:
+def declare(
+    angle: ArrayLike,
+    reading: ArrayLike | None,
+    u: ArrayLike | Gaussian,
+    table: Sequence[object] | None = None,
+    applied_tilt: ArrayLike | None = None,
+    covariates: dict[str, Any] | None = None,
+    rows: ArrayLike | None = None,
+) -> Problem:
     """Declare the plumb fit of one or more tables.
 
     angle: (n,) [rad]; reading: (n,) [rad] or None to plan; u: standard uncertainty of a reading [rad] or Gaussian;
     table: (n,) key of the table of each row (one table if not given); applied_tilt: (n, 2) [rad]; covariates: as of
     Observations; rows: numbers in the data file.
-    Returns the problem with unknowns `plumb` (theta_x, theta_y of each table) and `zero`, and `parallelism` of two tables.
+    Returns the problem with unknowns `plumb` (theta_x, theta_y of each table) and `zero`, and `parallelism` of two
+    tables.
     """
     angle = np.asarray(angle, float)
     keys = ["table"] * len(angle) if table is None else [str(t) for t in table]
     tables = list(dict.fromkeys(keys))
     index = np.array([tables.index(k) for k in keys])
     named = None if table is None else tables
-    first = np.zeros(len(tables)) if reading is None else np.array([np.mean(np.asarray(reading)[index == i])
-                                                                    for i in range(len(tables))])
+    first = (
+        np.zeros(len(tables))
+        if reading is None
+        else np.array([np.mean(np.asarray(reading)[index == i]) for i in range(len(tables))])
+    )
     plumb = Unknown("plumb", np.zeros((len(tables), 2)), "arcsec", parts=("x", "y"), keys=named)
     zero = Unknown("zero", first[:, None], "arcsec", keys=named)
     applied = np.zeros((len(angle), 2)) if applied_tilt is None else np.asarray(applied_tilt, float)
-    readings = Observations(level_on_table, plumb[index], applied, angle, zero[index], readings=reading, u=u, group="level",
-                            unit="arcsec", covariates={"table": np.array(keys), "angle": (angle, "rad"), **(covariates or {})},
-                            rows=rows)
+    readings = Observations(
+        level_on_table,
+        plumb[index],
+        applied,
+        angle,
+        zero[index],
+        readings=reading,
+        u=u,
+        group="level",
+        unit="arcsec",
+        covariates={"table": np.array(keys), "angle": (angle, "rad"), **(covariates or {})},
+        rows=rows,
+    )
     quantities = []
     if len(tables) == 2:
-        quantities.append(Quantity("parallelism", difference, plumb[0], plumb[1], unit="arcsec", parts=("x", "y", "total")))
+        quantities.append(
+            Quantity("parallelism", difference, plumb[0], plumb[1], unit="arcsec", parts=("x", "y", "total"))
+        )
     return Problem([readings], quantities=quantities, name="plumb fit")
 
 
@@ -78,8 +102,10 @@ def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
     blocks: seatings of the level at which a step may have happened. Returns the effects.
     """
     amplitudes = tuple(Parameter(name, "arcsec", (0.05 * arcsec, 10 * arcsec)) for name in ("c", "s"))
-    motions = [Effect(f"tilt_motion_{order}x", "reading", _lobes(order), amplitudes, "table", per="table", source=SOURCE)
-               for order in (2, 3)]
+    motions = [
+        Effect(f"tilt_motion_{order}x", "reading", _lobes(order), amplitudes, "table", per="table", source=SOURCE)
+        for order in (2, 3)
+    ]
     return (*(e for e in level.effects(blocks) if e.name not in ("zero", "settling")), *motions)
 
 
@@ -90,8 +116,8 @@ def _lobes(order: int) -> Callable[..., Any]:
 def from_job(job: Job) -> Problem:
     """Declare the plumb fit of a job or of a case of scenario `level_plumb`.
 
-    Columns of [data.level] (or measurements.csv): angle, reading; where there are: table, setup, direction, block, time,
-    temp. The instrument gives u (or sigma); [known] applied_tilt and reference_temperature as in the case format.
+    Columns of [data.level] (or measurements.csv): angle, reading; where there are: table, setup, direction, block,
+    time, temp. The instrument gives u (or sigma); [known] applied_tilt and reference_temperature as in the case format.
     Raises InputError where something is missing.
     """
     case = "measurements" in job.tables
@@ -108,8 +134,15 @@ def from_job(job: Job) -> Problem:
     for name in ("direction", "block", "sweep", "setup"):
         if data.has(name):
             covariates[name] = data.whole(name)
-    problem = declare(angle, data.number("reading", "angle"), u, data.text("table") if data.has("table") else None,
-                      _applied(job, data, len(angle)), covariates, data.row_numbers)
+    problem = declare(
+        angle,
+        data.number("reading", "angle"),
+        u,
+        data.text("table") if data.has("table") else None,
+        _applied(job, data, len(angle)),
+        covariates,
+        data.row_numbers,
+    )
     blocks = sorted(set(covariates.get("block", [])))[1:]
     have = {*covariates, "angle", "table", "inclination"}
     return problem.with_effects(*(e for e in effects(blocks) if set(e.inputs) <= have))
@@ -117,13 +150,17 @@ def from_job(job: Job) -> Problem:
 
 def _applied(job: Job, data: Any, n: int) -> np.ndarray:
     applied = np.zeros((n, 2))
-    tilts = {one.whole("setup"): [one.quantity("dtheta_x", "angle"), one.quantity("dtheta_y", "angle")]
-             for one in job.known.tables("applied_tilt")}
+    tilts = {
+        one.whole("setup"): [one.quantity("dtheta_x", "angle"), one.quantity("dtheta_y", "angle")]
+        for one in job.known.tables("applied_tilt")
+    }
     if tilts:
         for row, setup in enumerate(data.whole("setup")):
             if int(setup) not in tilts:
-                raise InputError(f"{job.path}: set-up {setup} of the readings has no [[known.applied_tilt]]; there are "
-                                 f"{', '.join(map(str, tilts))}; add it, with zeros where nothing was applied.")
+                raise InputError(
+                    f"{job.path}: set-up {setup} of the readings has no [[known.applied_tilt]]; there are "
+                    f"{', '.join(map(str, tilts))}; add it, with zeros where nothing was applied."
+                )
             applied[row] = tilts[int(setup)]
     return applied
 
@@ -139,12 +176,22 @@ def example(seed: int) -> Problem:
     half = n // 2
     table = ["three-axis"] * half + ["two-axis"] * half
     applied = np.zeros((n, 2))
-    applied[len(sweep):half] = np.array([40.0, 0.0]) * arcsec
-    applied[half + len(sweep):] = np.array([0.0, 40.0]) * arcsec
+    applied[len(sweep) : half] = np.array([40.0, 0.0]) * arcsec
+    applied[half + len(sweep) :] = np.array([0.0, 40.0]) * arcsec
     time = np.arange(n) * 2 * minute
-    problem = declare(angle, None, 0.2 * arcsec, table, applied, {
-        "time": (time, "s"), "temperature_difference": (0.4 * np.sin(time / (2 * hour)), "K"),
-        "direction": np.tile(np.repeat([1, -1], len(sweep)), 2), "block": np.repeat([1, 2], half)})
+    problem = declare(
+        angle,
+        None,
+        0.2 * arcsec,
+        table,
+        applied,
+        {
+            "time": (time, "s"),
+            "temperature_difference": (0.4 * np.sin(time / (2 * hour)), "K"),
+            "direction": np.tile(np.repeat([1, -1], len(sweep)), 2),
+            "block": np.repeat([1, 2], half),
+        },
+    )
     truth = {"plumb": np.array([[-1.7, 2.4], [-1.4, -0.8]]) * arcsec, "zero": np.array([[66.0], [152.0]]) * arcsec}
     return simulate(problem.with_effects(*effects(blocks=(2,))), truth, seed)
 
@@ -152,14 +199,18 @@ def example(seed: int) -> Problem:
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job with simulated readings: {file name: text}. seed: of the errors."""
     observations = example(seed).observations[0]
-    lines = ["# source: simulated, two tables over 90 degrees, a known tilt applied half-way",
-             "table,setup,block,direction,angle_deg,time_min,reading_arcsec"]
+    lines = [
+        "# source: simulated, two tables over 90 degrees, a known tilt applied half-way",
+        "table,setup,block,direction,angle_deg,time_min,reading_arcsec",
+    ]
     c = observations.covariates
     tilted = observations.arguments[1].data.any(axis=1)
     setup = np.where(~tilted, 1, np.where(c["table"] == "three-axis", 2, 3))
     for i, reading in enumerate(observations.readings[:, 0]):
-        lines.append(f"{c['table'][i]},{setup[i]},{c['block'][i]},{c['direction'][i]},{c['angle'][i] / degree:.1f},"
-                     f"{c['time'][i] / minute:.1f},{reading / arcsec:.2f}")
+        lines.append(
+            f"{c['table'][i]},{setup[i]},{c['block'][i]},{c['direction'][i]},{c['angle'][i] / degree:.1f},"
+            f"{c['time'][i] / minute:.1f},{reading / arcsec:.2f}"
+        )
     job = """problem = "problems.plumb"
 
 [data.level]

@@ -11,8 +11,12 @@ from calib.errors import CalibrationError
 def two_groups(seed, factors=(1.0, 3.0), n=(40, 25)):
     generator = np.random.default_rng(seed)
     a = Unknown("a")
-    return Problem([Observations(lambda a: a, a, readings=generator.normal(5.0, 0.1 * f, k), u=0.1, group=name)
-                    for name, f, k in zip(("fine", "coarse"), factors, n, strict=True)])
+    return Problem(
+        [
+            Observations(lambda a: a, a, readings=generator.normal(5.0, 0.1 * f, k), u=0.1, group=name)
+            for name, f, k in zip(("fine", "coarse"), factors, n, strict=True)
+        ]
+    )
 
 
 def test_one_group_has_the_root_of_the_variance_factor():
@@ -21,14 +25,16 @@ def test_one_group_has_the_root_of_the_variance_factor():
     components = variance_components(linearise(estimate))
     assert components.factor[0] == pytest.approx(np.sqrt(estimate.variance_factor), rel=1e-9)
     assert components.dof[0] == pytest.approx(3.0, rel=1e-9)
-    assert components.u_factor[0] == pytest.approx(components.factor[0] / np.sqrt(6), rel=1e-9)      # 1/sqrt(2 dof)
+    assert components.u_factor[0] == pytest.approx(components.factor[0] / np.sqrt(6), rel=1e-9)  # 1/sqrt(2 dof)
 
 
 def test_rescaled_uncertainties_are_the_callers_act_and_change_no_other_number():
     problem, offset, _ = line(readings=[0.0, 1.2, 1.7, 3.3, 3.9], u=0.1)
     fit = linearise(solve(problem))
     scaled = variance_components(fit).rescaled(fit)
-    assert covariance(scaled, offset).u[0] == pytest.approx(covariance(fit, offset).u[0] * np.sqrt(fit.objective / fit.dof))
+    assert covariance(scaled, offset).u[0] == pytest.approx(
+        covariance(fit, offset).u[0] * np.sqrt(fit.objective / fit.dof)
+    )
     assert scaled.objective == pytest.approx(fit.dof, rel=1e-9)
 
 
@@ -56,7 +62,11 @@ def test_a_prior_keeps_its_stated_uncertainty():
 
 def test_a_group_without_redundancy_is_named():
     a, b = Unknown("a"), Unknown("b")
-    problem = Problem([Observations(lambda a: a, a, readings=[1.0, 1.1], u=0.1, group="twice"),
-                       Observations(lambda b: b, b, readings=[5.0], u=0.1, group="once")])
+    problem = Problem(
+        [
+            Observations(lambda a: a, a, readings=[1.0, 1.1], u=0.1, group="twice"),
+            Observations(lambda b: b, b, readings=[5.0], u=0.1, group="once"),
+        ]
+    )
     with pytest.raises(CalibrationError, match="'once' cannot be estimated: its readings have no redundancy"):
         variance_components(linearise(solve(problem)))

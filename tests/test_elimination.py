@@ -24,10 +24,23 @@ CASES = {
     "a point held": lambda p, s, q: p.hold(q[3]),
     "priors on points": lambda p, s, q: p.with_observations(prior(q[2], q.ambient[2], 1e-5)),
     "a condition between stations": lambda p, s, q: type(p)(
-        p.observations, [Constraint("same height", lambda a, b: a.translation[2] - b.translation[2], s[1], s[2], tolerance=1e-9,
-                                    lower=0.3, upper=0.3)], held=[s[0]]),
+        p.observations,
+        [
+            Constraint(
+                "same height",
+                lambda a, b: a.translation[2] - b.translation[2],
+                s[1],
+                s[2],
+                tolerance=1e-9,
+                lower=0.3,
+                upper=0.3,
+            )
+        ],
+        held=[s[0]],
+    ),
     "a condition on a point": lambda p, s, q: type(p)(
-        p.observations, [Constraint("height", lambda a: a[2], q[1], tolerance=1e-9)], held=[s[0]]),
+        p.observations, [Constraint("height", lambda a: a[2], q[1], tolerance=1e-9)], held=[s[0]]
+    ),
 }
 
 
@@ -36,7 +49,7 @@ def test_elimination_changes_no_result(case, monkeypatch):
     dense, eliminated = both(CASES[case](*network(4, 15, 1)), monkeypatch)
     size = dense.factor.size
     scale = np.sqrt(np.diag(dense.factor.matrix))
-    scale = np.where(scale > 1e-12, scale, 1.0)         # a column that a condition pins has none
+    scale = np.where(scale > 1e-12, scale, 1.0)  # a column that a condition pins has none
     assert np.abs((eliminated.factor.step - dense.factor.step) / scale).max() < 1e-8
     assert np.abs((eliminated.factor.matrix - dense.factor.matrix) / np.outer(scale, scale)).max() < 1e-9
     right = np.random.default_rng(0).normal(size=(size, 3)) / scale[:, None]
@@ -66,8 +79,18 @@ def test_points_seen_by_nobody_are_found_when_eliminated(monkeypatch):
     problem, _, point = network(4, 15, 4)
     seen = problem.observations[0]
     kept = seen.covariates["point"] != 5
-    smaller = type(seen)(seen.model, seen.arguments[0].unknown[seen.arguments[0].index[kept]],
-                         point[seen.arguments[1].index[kept]], readings=seen.readings[kept], u=[5e-6] * 3, period=seen.period)
-    dense, eliminated = both(type(problem)([smaller, prior(point[14], point.ambient[14], 1.0)]).hold(seen.arguments[0].unknown[0]),
-                             monkeypatch)
-    assert dense.factor.defect == eliminated.factor.defect == 0 or "point[5]" in " ".join(estimability(eliminated).directions)
+    smaller = type(seen)(
+        seen.model,
+        seen.arguments[0].unknown[seen.arguments[0].index[kept]],
+        point[seen.arguments[1].index[kept]],
+        readings=seen.readings[kept],
+        u=[5e-6] * 3,
+        period=seen.period,
+    )
+    dense, eliminated = both(
+        type(problem)([smaller, prior(point[14], point.ambient[14], 1.0)]).hold(seen.arguments[0].unknown[0]),
+        monkeypatch,
+    )
+    assert dense.factor.defect == eliminated.factor.defect == 0 or "point[5]" in " ".join(
+        estimability(eliminated).directions
+    )

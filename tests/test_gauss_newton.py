@@ -16,7 +16,9 @@ def test_a_pose_is_found_from_far_away(degrees):
     turn = np.asarray(rotation_about(axis, np.radians(degrees)), float)
     points = np.random.default_rng(3).normal(size=(10, 3))
     pose = Pose("pose")
-    estimate = solve(Problem([Observations(lambda t, p: t @ p, pose, points, readings=points @ turn.T + [1, 2, 3], u=1e-3)]))
+    estimate = solve(
+        Problem([Observations(lambda t, p: t @ p, pose, points, readings=points @ turn.T + [1, 2, 3], u=1e-3)])
+    )
     assert estimate.converged
     assert estimate.certificate.passed
     assert np.allclose(estimate[pose].rotation, turn, atol=1e-10)
@@ -39,14 +41,21 @@ def test_an_equality_constraint_holds_exactly_and_lowers_the_uncertainty():
 def test_a_nonlinear_constraint_is_met_from_a_start_that_breaks_it():
     point = Unknown("point", [3.0, 0.5])
     o = Observations(lambda p: p, point, readings=[[2.0, 1.0]], u=0.1)
-    estimate = solve(Problem([o], [Constraint("unit circle", lambda p: ca.dot(p, p), point, tolerance=1e-10, lower=1.0, upper=1.0)]))
-    assert np.allclose(estimate[point], np.array([2.0, 1.0]) / np.sqrt(5), atol=1e-10)      # the nearest point of the circle
+    estimate = solve(
+        Problem([o], [Constraint("unit circle", lambda p: ca.dot(p, p), point, tolerance=1e-10, lower=1.0, upper=1.0)])
+    )
+    assert np.allclose(
+        estimate[point], np.array([2.0, 1.0]) / np.sqrt(5), atol=1e-10
+    )  # the nearest point of the circle
     assert estimate.certificate.passed
 
 
 def test_contradictory_constraints_are_never_called_converged():
     a = Unknown("a")
-    conditions = [Constraint("one", lambda a: a - 1, a, tolerance=1e-9), Constraint("two", lambda a: a - 2, a, tolerance=1e-9)]
+    conditions = [
+        Constraint("one", lambda a: a - 1, a, tolerance=1e-9),
+        Constraint("two", lambda a: a - 2, a, tolerance=1e-9),
+    ]
     estimate = solve(Problem([Observations(lambda a: a, a, readings=[1.0], u=1.0)], conditions))
     assert not estimate.converged
     assert "constraints contradict" in estimate.message
@@ -73,8 +82,10 @@ def test_a_bound_that_does_not_matter_changes_nothing():
 
 def test_an_inequality_is_refused_with_the_method_that_takes_it():
     a = Unknown("a")
-    problem = Problem([Observations(lambda a: a, a, readings=[1.0], u=1.0)],
-                      [Constraint("limit", lambda a: a, a, tolerance=1e-9, lower=-np.inf, upper=0.5)])
+    problem = Problem(
+        [Observations(lambda a: a, a, readings=[1.0], u=1.0)],
+        [Constraint("limit", lambda a: a, a, tolerance=1e-9, lower=-np.inf, upper=0.5)],
+    )
     with pytest.raises(MethodRefusal, match="'limit' is an inequality; use Ipopt"):
         solve(problem)
 
@@ -110,13 +121,17 @@ def test_observations_without_readings_can_be_planned_but_not_solved():
     planned = problem.with_readings({"line": None})
     with pytest.raises(MethodRefusal, match="'line' have no readings"):
         solve(planned)
-    assert np.allclose(covariance(linearise(planned), offset, slope).matrix, covariance(linearise(problem), offset, slope).matrix)
+    assert np.allclose(
+        covariance(linearise(planned), offset, slope).matrix, covariance(linearise(problem), offset, slope).matrix
+    )
 
 
 def test_a_model_that_breaks_down_is_named_with_row_and_unknown():
     a = Unknown("a", -1.0)
-    problem = Problem([Observations(lambda a, x: ca.sqrt(a) * x, a, np.ones(3), readings=np.ones(3), u=1.0, rows=[7, 8, 9])])
-    with pytest.raises(CalibrationError, match="row 7: the model .* gives nan at the present values of a"):
+    problem = Problem(
+        [Observations(lambda a, x: ca.sqrt(a) * x, a, np.ones(3), readings=np.ones(3), u=1.0, rows=[7, 8, 9])]
+    )
+    with pytest.raises(CalibrationError, match=r"row 7: the model .* gives nan at the present values of a"):
         solve(problem)
 
 
@@ -125,8 +140,15 @@ def test_the_order_of_rows_and_the_unit_of_an_unknown_do_not_matter():
     seen = problem.observations[0]
     order = np.random.default_rng(0).permutation(seen.n)
     i, j = seen.covariates["station"][order], seen.covariates["point"][order]
-    again = Observations(seen.model, station[i], point[j], readings=seen.readings[order], u=[5e-6, 5e-6, 5e-6], group="polar",
-                         period=seen.period)
+    again = Observations(
+        seen.model,
+        station[i],
+        point[j],
+        readings=seen.readings[order],
+        u=[5e-6, 5e-6, 5e-6],
+        group="polar",
+        period=seen.period,
+    )
     first, second = solve(problem), solve(Problem([again]).hold(station[0]))
     assert np.abs(first[point] - second[point]).max() < 1e-12
     assert first.objective == pytest.approx(second.objective, rel=1e-9)

@@ -4,7 +4,19 @@ import numpy as np
 import pytest
 from declared import straight
 
-from calib import Direction, Gaussian, Observations, Problem, Rotation, Shared, Unknown, covariance, linearise, prior, solve
+from calib import (
+    Direction,
+    Gaussian,
+    Observations,
+    Problem,
+    Rotation,
+    Shared,
+    Unknown,
+    covariance,
+    linearise,
+    prior,
+    solve,
+)
 from calib.errors import CalibrationError, DeclarationError
 from calib.geometry import rotation_about
 
@@ -24,9 +36,16 @@ def test_a_repeating_unknown_needs_an_index():
         Observations(straight, Unknown("a", np.zeros((2, 1))), Unknown("b"), np.zeros(5), readings=np.zeros(5), u=1.0)
 
 
-@pytest.mark.parametrize("u, words", [(None, "no uncertainty"), (0.0, "must be a positive number"),
-                                      (-1.0, "must be a positive number"), (np.nan, "must be a positive number"),
-                                      (np.ones(4), "uncertainties have shape")])
+@pytest.mark.parametrize(
+    "u, words",
+    [
+        (None, "no uncertainty"),
+        (0.0, "must be a positive number"),
+        (-1.0, "must be a positive number"),
+        (np.nan, "must be a positive number"),
+        (np.ones(4), "uncertainties have shape"),
+    ],
+)
 def test_every_reading_needs_a_positive_uncertainty(u, words):
     with pytest.raises(DeclarationError, match=words):
         solve(Problem([Observations(straight, Unknown("a"), Unknown("b"), np.arange(5.0), readings=np.zeros(5), u=u)]))
@@ -40,7 +59,7 @@ def test_a_reading_that_is_not_a_number_is_named_by_its_row():
 
 def test_readings_of_the_wrong_width_are_named_when_the_model_is_known():
     o = Observations(lambda a: [a, a], Unknown("a"), readings=np.zeros((4, 3)), u=1.0, group="pairs")
-    with pytest.raises(CalibrationError, match="'pairs'.*predicts 2 components.*shape \\(4, 3\\)"):
+    with pytest.raises(CalibrationError, match=r"'pairs'.*predicts 2 components.*shape \(4, 3\)"):
         solve(Problem([o]))
 
 
@@ -50,6 +69,7 @@ def test_a_shared_constant_equals_the_same_value_in_every_row():
 
     def scaled(a, b, x, k):
         return a + k * b * x
+
     readings = np.array([0.0, 1.1, 1.9, 3.2])
     one = solve(Problem([Observations(scaled, a, b, x, Shared(2.0), readings=readings, u=0.1)]))
     many = solve(Problem([Observations(scaled, a, b, x, np.full(4, 2.0), readings=readings, u=0.1)]))
@@ -73,7 +93,9 @@ def test_a_prior_is_an_observation_of_an_unknown():
 
 def test_a_prior_of_one_part_leaves_the_other_parts_alone():
     p = Unknown("p", [0.0, 0.0], parts=("x", "y"))
-    estimate = solve(Problem([Observations(lambda p: p, p, readings=[[1.0, 1.0]], u=1.0), prior(p.part("y"), 0.0, 1.0)]))
+    estimate = solve(
+        Problem([Observations(lambda p: p, p, readings=[[1.0, 1.0]], u=1.0), prior(p.part("y"), 0.0, 1.0)])
+    )
     assert np.allclose(estimate[p], [1.0, 0.5])
 
 
@@ -97,12 +119,16 @@ def test_an_uncertainty_of_the_form_a_plus_b_l_stands_still_at_the_estimate():
     # Two lengths read once each, u = 1 + L: the estimates are the readings, their u is 1 + L whatever the start.
     length = Unknown("L", np.array([[1.0], [1.0]]), "mm")
     readings = np.array([3.0, 7.0])
-    o = Observations(lambda length: length, length.each, readings=readings, u=Gaussian.depending(lambda length: 1 + length))
+    o = Observations(
+        lambda length: length, length.each, readings=readings, u=Gaussian.depending(lambda length: 1 + length)
+    )
     fit = linearise(solve(Problem([o])))
     assert np.allclose(covariance(fit, length).u, 1 + readings, rtol=1e-8)
 
 
 def test_an_uncertainty_may_depend_on_the_reading_itself():
     length = Unknown("L", np.array([[1.0], [1.0]]), "mm")
-    o = Observations(lambda length: length, length.each, readings=[3.0, 7.0], u=Gaussian.depending(lambda reading: 2 * reading))
+    o = Observations(
+        lambda length: length, length.each, readings=[3.0, 7.0], u=Gaussian.depending(lambda reading: 2 * reading)
+    )
     assert np.allclose(covariance(linearise(solve(Problem([o]))), length).u, [6.0, 14.0])

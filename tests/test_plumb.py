@@ -42,12 +42,12 @@ def test_ninety_five_per_cent_intervals_cover_the_truth():
         estimate = solve(plumb.example(seed))
         u = covariance(linearise(estimate), "plumb").u
         inside.append(np.abs(estimate["plumb"].ravel() - truth.ravel()) < 1.96 * u)
-    assert np.mean(inside) == pytest.approx(0.95, abs=0.05)      # 200 intervals, 3.2 standard errors
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.05)  # 200 intervals, 3.2 standard errors
 
 
 def test_readings_at_one_position_say_what_cannot_be_known():
     angle = np.full(6, 30.0) * degree
-    with pytest.raises(RankDefect, match="2 direction.* cannot be known.*plumb.*zero"):
+    with pytest.raises(RankDefect, match=r"2 direction.* cannot be known.*plumb.*zero"):
         solve(plumb.declare(angle, np.full(6, 60.0) * arcsec, 0.2 * arcsec))
 
 

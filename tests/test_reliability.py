@@ -12,14 +12,18 @@ def test_a_mean_of_n_readings_has_redundancy_one_less_one_nth():
     r = reliability(linearise(solve(Problem([Observations(lambda a: a, a, readings=[1.0, 2.0, 4.0, 5.0], u=0.5)]))))
     assert np.allclose(r.redundancy, 0.75)
     assert np.allclose(r.w, (np.array([1, 2, 4, 5]) - 3) / (0.5 * np.sqrt(0.75)))
-    assert np.allclose(r.mdb, 4.1321470 * 0.5 / np.sqrt(0.75), rtol=1e-6)      # 3.2905 + 0.8416 for 0.1 % and 80 %
+    assert np.allclose(r.mdb, 4.1321470 * 0.5 / np.sqrt(0.75), rtol=1e-6)  # 3.2905 + 0.8416 for 0.1 % and 80 %
 
 
 def test_a_reading_that_nothing_controls_has_no_finite_minimal_detectable_bias():
     a, b = Unknown("a"), Unknown("b")
-    problem = Problem([Observations(lambda a: a, a, readings=[1.0, 1.1], u=0.1, group="twice"),
-                       Observations(lambda b: b, b, readings=[5.0], u=0.1, group="once")],
-                      quantities=[Quantity("b", lambda b: b, b)])
+    problem = Problem(
+        [
+            Observations(lambda a: a, a, readings=[1.0, 1.1], u=0.1, group="twice"),
+            Observations(lambda b: b, b, readings=[5.0], u=0.1, group="once"),
+        ],
+        quantities=[Quantity("b", lambda b: b, b)],
+    )
     r = reliability(linearise(solve(problem)))
     alone = r.of("once")
     assert r.redundancy[alone] == pytest.approx([0.0], abs=1e-12)

@@ -34,15 +34,20 @@ def block(generator):
 STEPS = 0.1 * np.arange(1, 7)
 CASES = {
     "one u for all": (0.1, 0.01 * np.eye(6)),
-    "a u for each reading": (STEPS, np.diag(STEPS ** 2)),
+    "a u for each reading": (STEPS, np.diag(STEPS**2)),
     "serial correlation": (Gaussian.serial(0.1, 0.6, X), 0.01 * lag(0.6)),
     "negative serial correlation": (Gaussian.serial(STEPS, -0.4, X), np.outer(STEPS, STEPS) * lag(-0.4)),
     "serial correlation along another order": (Gaussian.serial(0.1, 0.6, -X), 0.01 * lag(0.6)),
     "two groups with full matrices": (
         Gaussian.groups(list("aaabbb"), {"a": block(np.random.default_rng(1)), "b": block(np.random.default_rng(2))}),
-        np.block([[block(np.random.default_rng(1)), np.zeros((3, 3))], [np.zeros((3, 3)), block(np.random.default_rng(2))]])),
+        np.block(
+            [[block(np.random.default_rng(1)), np.zeros((3, 3))], [np.zeros((3, 3)), block(np.random.default_rng(2))]]
+        ),
+    ),
     "two chains of serial correlation": (
-        Gaussian.serial(0.1, 0.6, X, chain=list("aaabbb")), 0.01 * lag(0.6) * np.kron(np.eye(2), np.ones((3, 3)))),
+        Gaussian.serial(0.1, 0.6, X, chain=list("aaabbb")),
+        0.01 * lag(0.6) * np.kron(np.eye(2), np.ones((3, 3))),
+    ),
 }
 
 
@@ -66,21 +71,28 @@ def test_drawn_errors_have_the_stated_covariance(name):
     generator = np.random.default_rng(7)
     errors = np.stack([weighting.draw(generator)[:, 0] for _ in range(20000)])
     scale = np.sqrt(np.outer(np.diag(sigma), np.diag(sigma)))
-    assert np.abs((errors.T @ errors / len(errors) - sigma) / scale).max() < 0.045      # 4 standard errors of 20000 draws
+    assert np.abs((errors.T @ errors / len(errors) - sigma) / scale).max() < 0.045  # 4 standard errors of 20000 draws
 
 
 def test_a_matrix_for_each_row_is_used_row_by_row():
     matrices = np.stack([np.array([[1.0, 0.5], [0.5, 1.0]]), np.array([[4.0, -1.0], [-1.0, 2.0]])])
     p = Unknown("p", [0.0, 0.0])
-    fit = linearise(solve(Problem([Observations(lambda p: p, p, readings=[[1.0, 2.0], [3.0, 1.0]], u=Gaussian.matrix(matrices))])))
-    assert np.allclose(covariance(fit, p).matrix, np.linalg.inv(np.linalg.inv(matrices[0]) + np.linalg.inv(matrices[1])))
+    fit = linearise(
+        solve(Problem([Observations(lambda p: p, p, readings=[[1.0, 2.0], [3.0, 1.0]], u=Gaussian.matrix(matrices))]))
+    )
+    assert np.allclose(
+        covariance(fit, p).matrix, np.linalg.inv(np.linalg.inv(matrices[0]) + np.linalg.inv(matrices[1]))
+    )
 
 
-@pytest.mark.parametrize("u, words", [
-    (Gaussian.matrix(np.array([[1.0, 2.0], [2.0, 1.0]])), "not positive definite"),
-    (Gaussian.groups(["a", "b"], {"a": np.eye(2)}), "group 'b' is missing"),
-    (Gaussian.serial(1.0, 1.5, [0, 1]), "declared for scalar readings"),
-])
+@pytest.mark.parametrize(
+    "u, words",
+    [
+        (Gaussian.matrix(np.array([[1.0, 2.0], [2.0, 1.0]])), "not positive definite"),
+        (Gaussian.groups(["a", "b"], {"a": np.eye(2)}), "group 'b' is missing"),
+        (Gaussian.serial(1.0, 1.5, [0, 1]), "declared for scalar readings"),
+    ],
+)
 def test_a_covariance_that_cannot_be_is_named(u, words):
     with pytest.raises(DeclarationError, match=words):
         solve(Problem([Observations(lambda p: p, Unknown("p", [0.0, 0.0]), readings=[[1.0, 2.0], [3.0, 1.0]], u=u)]))

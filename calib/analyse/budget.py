@@ -41,8 +41,10 @@ def budget(fit: Linearisation, what: Any) -> Budget:
     """
     functions = fit.functions(what)
     if len(functions.labels) != 1:
-        raise DeclarationError(f"a budget is of one scalar; this is {len(functions.labels)}: {', '.join(functions.labels)}. "
-                               "Ask for one of them by name.")
+        raise DeclarationError(
+            f"a budget is of one scalar; this is {len(functions.labels)}: {', '.join(functions.labels)}. "
+            "Ask for one of them by name."
+        )
     refuse_what_cannot_be_known(fit, functions)
     free = fit.free_part(functions.derivatives)
     direction = np.zeros(fit.layout.size)
@@ -60,6 +62,8 @@ def budget(fit: Linearisation, what: Any) -> Budget:
         for label, variance in zip(held.labels, sensitivity * (held.covariance @ sensitivity), strict=True):
             variances.append((f"held {label}", float(variance)))
     total = sum(v for _, v in variances)
-    lines = tuple(Contribution(label, float(np.sqrt(max(v, 0.0))), v / total if total else 0.0)
-                  for label, v in sorted(variances, key=lambda item: -item[1]))
+    lines = tuple(
+        Contribution(label, float(np.sqrt(max(v, 0.0))), v / total if total else 0.0)
+        for label, v in sorted(variances, key=lambda item: -item[1])
+    )
     return Budget(functions.labels[0], functions.units[0], float(functions.values[0]), float(np.sqrt(total)), lines)

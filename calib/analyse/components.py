@@ -39,18 +39,22 @@ class VarianceComponents:
         return fit.scaled(self.factors)
 
 
-def variance_components(fit: Linearisation, sets: Mapping[str, Sequence[str]] | Sequence[str] | None = None,
-                        iterations: int = 500) -> VarianceComponents:
+def variance_components(
+    fit: Linearisation, sets: Mapping[str, Sequence[str]] | Sequence[str] | None = None, iterations: int = 500
+) -> VarianceComponents:
     """Estimate one variance component for each set of groups from the residuals at a linearisation.
 
     fit: a linearisation with readings; sets: {name: groups} or names of groups (default: every group that is no prior);
     iterations: at most. Returns factors of the stated standard uncertainties with their own uncertainty.
     Raises CalibrationError where a set has no redundancy or the iteration does not stand still.
-    Source: Helmert's estimator iterated (Foerstner 1979), which is restricted maximum likelihood; its Fisher matrix gives u.
+    Source: Helmert's estimator iterated (Foerstner 1979), which is restricted maximum likelihood; its Fisher matrix
+    gives u.
     """
     if sets is None:
         sets = [g.name for g in fit.groups if not g.is_prior]
-    chosen = {name: tuple(groups) for name, groups in sets.items()} if isinstance(sets, Mapping) else {n: (n,) for n in sets}
+    chosen = (
+        {name: tuple(groups) for name, groups in sets.items()} if isinstance(sets, Mapping) else {n: (n,) for n in sets}
+    )
     basis = _null_basis(fit)
     rest = [g.name for g in fit.groups if g.name not in {x for groups in chosen.values() for x in groups}]
     normals, pulls, squares, sizes = [], [], [], []
@@ -69,9 +73,13 @@ def variance_components(fit: Linearisation, sets: Mapping[str, Sequence[str]] | 
         redundancy = np.array([size - np.trace(s) for size, s in zip(sizes, shares, strict=True)])[:-1]
         if np.any(redundancy < 1e-6):
             name = list(chosen)[int(np.argmin(redundancy))]
-            raise CalibrationError(f"variance component '{name}' cannot be estimated: its readings have no redundancy; "
-                                   "leave it out, or join it with another group.")
-        left = np.array([s - 2 * shift @ p + shift @ n @ shift for s, p, n in zip(squares, pulls, normals, strict=True)])[:-1]
+            raise CalibrationError(
+                f"variance component '{name}' cannot be estimated: its readings have no redundancy; "
+                "leave it out, or join it with another group."
+            )
+        left = np.array(
+            [s - 2 * shift @ p + shift @ n @ shift for s, p, n in zip(squares, pulls, normals, strict=True)]
+        )[:-1]
         updated = np.maximum(left / redundancy, 1e-12)
         still = np.max(np.abs(updated / variance - 1))
         variance = updated
@@ -79,16 +87,25 @@ def variance_components(fit: Linearisation, sets: Mapping[str, Sequence[str]] | 
             break
     else:
         if still > 1e-4:
-            raise CalibrationError(f"variance components do not stand still after {iterations} steps (last change "
-                                   f"{still:.1e}); join groups that the data cannot tell apart.")
+            raise CalibrationError(
+                f"variance components do not stand still after {iterations} steps (last change "
+                f"{still:.1e}); join groups that the data cannot tell apart."
+            )
     fisher = np.array([[np.trace(a @ b) for b in shares[:-1]] for a in shares[:-1]])
     fisher += np.diag([size - 2 * np.trace(s) for size, s in zip(sizes[:-1], shares[:-1], strict=True)])
-    spread = np.diag(np.linalg.inv(fisher))                       # variance of each component = 2 spread component^2
+    spread = np.diag(np.linalg.inv(fisher))  # variance of each component = 2 spread component^2
     factor = np.sqrt(variance)
     first = [fit.group(groups[0]) for groups in chosen.values()]
-    return VarianceComponents(tuple(chosen), tuple(chosen.values()),
-                              np.array([float(np.sqrt(np.mean(g.weighting.u[:, 0] ** 2))) for g in first]),
-                              tuple(g.units[0] for g in first), factor, factor * np.sqrt(spread / 2), 1 / spread, redundancy)
+    return VarianceComponents(
+        tuple(chosen),
+        tuple(chosen.values()),
+        np.array([float(np.sqrt(np.mean(g.weighting.u[:, 0] ** 2))) for g in first]),
+        tuple(g.units[0] for g in first),
+        factor,
+        factor * np.sqrt(spread / 2),
+        1 / spread,
+        redundancy,
+    )
 
 
 def _null_basis(fit: Linearisation) -> Array:
@@ -96,6 +113,7 @@ def _null_basis(fit: Linearisation) -> Array:
     if not len(fit.conditions.target):
         return np.eye(size)
     from calib.elimination import _null_space
+
     return _null_space(fit.conditions.matrix, fit.conditions.target)[0]
 
 

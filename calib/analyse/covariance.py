@@ -38,8 +38,10 @@ class Covariance:
     @property
     def displayed(self) -> list[tuple[str, float, float, str]]:
         """(name, value, u, unit) in display units."""
-        return [(n, v / unit_table.factor(unit), u / unit_table.factor(unit), unit)
-                for n, v, u, unit in zip(self.names, self.values, self.u, self.units, strict=True)]
+        return [
+            (n, v / unit_table.factor(unit), u / unit_table.factor(unit), unit)
+            for n, v, u, unit in zip(self.names, self.values, self.u, self.units, strict=True)
+        ]
 
     def __getitem__(self, name: str) -> tuple[float, float]:
         """Value and standard uncertainty in SI of one name."""
@@ -59,7 +61,8 @@ class Considered:
 
 def considered(fit: Linearisation) -> Considered:
     """The held quantities with a prior, and the sensitivity of the estimate to them."""
-    free, position = fit.layout.free, {}
+    free = fit.layout.free
+    position: dict[int, int] = {}
     for group in fit.groups:
         if group.is_prior and not group.counted.all():
             for part in group.parts:
@@ -75,7 +78,9 @@ def considered(fit: Linearisation) -> Considered:
     for group in fit.groups:
         if group.is_prior:
             for block in group.whitened:
-                rows = block.dense(place, len(columns)).reshape(*block.residual.shape, -1)[~group.counted[block.rows[:, 0]]]
+                rows = block.dense(place, len(columns)).reshape(*block.residual.shape, -1)[
+                    ~group.counted[block.rows[:, 0]]
+                ]
                 information += np.einsum("mda,mdb->ab", rows, rows)
     seen = np.diag(information) > 0
     columns = tuple(c for c, s in zip(columns, seen, strict=True) if s)
@@ -94,8 +99,10 @@ def refuse_what_cannot_be_known(fit: Linearisation, functions: Functions) -> Non
     hidden = np.flatnonzero(np.any(np.abs(derivatives @ null) > 1e-7 * np.where(scale > 0, scale, 1.0), axis=1))
     if len(hidden):
         sentences = defect_in_words(fit.layout, null, lambda: sizes(fit))
-        raise RankDefect(f"'{functions.labels[hidden[0]]}' cannot be known from these readings: {'; '.join(sentences)}.",
-                         directions=sentences)
+        raise RankDefect(
+            f"'{functions.labels[hidden[0]]}' cannot be known from these readings: {'; '.join(sentences)}.",
+            directions=sentences,
+        )
 
 
 def sizes(fit: Linearisation) -> Array:

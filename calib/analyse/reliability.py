@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calib.blocks import Array, Block, Mixing
 from calib.linearisation import Group, Linearisation
 
-INVISIBLE = 1e-10     # redundancy number below which a reading is not controlled by any other
+INVISIBLE = 1e-10  # redundancy number below which a reading is not controlled by any other
 
 
 @dataclass(frozen=True)
@@ -66,16 +66,23 @@ def reliability(fit: Linearisation, level: float = 0.001, power: float = 0.8) ->
     columns = {name: np.concatenate([p[name] for p in pieces]) for name in pieces[0]}
     influences = columns.pop("influence")
     from scipy.special import erfc
+
     scale, redundancy = columns.pop("scale"), columns["redundancy"]
     controlled = redundancy > INVISIBLE
     safe = np.where(controlled, scale, 1.0)
     w = np.where(controlled, columns.pop("weighed") / safe, 0.0)
     mdb = np.where(controlled, bias / safe, np.inf)
-    influence = {} if functions is None else {
-        label: np.where(controlled, influences[:, k] * np.where(controlled, mdb, 0.0), 0.0)
-        for k, label in enumerate(functions.labels)}
-    return Reliability(**columns, w=w, p_value=erfc(np.abs(w) / np.sqrt(2)), mdb=mdb, influence=influence, level=level,
-                       power=power)
+    influence = (
+        {}
+        if functions is None
+        else {
+            label: np.where(controlled, influences[:, k] * np.where(controlled, mdb, 0.0), 0.0)
+            for k, label in enumerate(functions.labels)
+        }
+    )
+    return Reliability(
+        **columns, w=w, p_value=erfc(np.abs(w) / np.sqrt(2)), mdb=mdb, influence=influence, level=level, power=power
+    )
 
 
 def _group(fit: Linearisation, group: Group, through: Array | None) -> dict[str, NDArray]:
@@ -83,12 +90,12 @@ def _group(fit: Linearisation, group: Group, through: Array | None) -> dict[str,
     redundancy, weighed, scale = np.empty((n, dim)), np.empty((n, dim)), np.empty((n, dim))
     influence = np.zeros((n, dim, 0 if through is None else len(through)))
     for mixing in group.weighting.weights:
-        block = mixing.apply(group.residual, group.parts)      # rows of P J and P v
+        block = mixing.apply(group.residual, group.parts)  # rows of P J and P v
         targets = block.residual.shape[1] // dim
         rows = mixing.rows[:, :targets]
         plain = _plain(group, rows)
-        hat = _rowwise(fit, plain, block)                      # (J C J' P)_ii
-        leverage = _rowwise(fit, block, block)                 # (P J C J' P)_ii
+        hat = _rowwise(fit, plain, block)  # (J C J' P)_ii
+        leverage = _rowwise(fit, block, block)  # (P J C J' P)_ii
         own = _own_weight(mixing, block.residual.shape[1])
         redundancy[rows] = (1.0 - hat).reshape(len(rows), targets, dim)
         weighed[rows] = block.residual.reshape(len(rows), targets, dim)
@@ -99,18 +106,29 @@ def _group(fit: Linearisation, group: Group, through: Array | None) -> dict[str,
                 change += np.einsum("mdf,kmf->mdk", part.jacobian, through[:, part.columns])
             influence[rows] = change.reshape(len(rows), targets, dim, -1)
     readings = np.full((n, dim), np.nan) if group.readings is None else group.readings
-    return {"group": np.full(n * dim, group.name), "row": np.repeat(group.rows, dim),
-            "component": np.tile(np.array(group.components), n), "unit": np.tile(np.array(group.units), n),
-            "reading": readings.ravel(), "predicted": group.predicted.ravel(), "residual": group.residual.ravel(),
-            "u": group.weighting.u.ravel(), "redundancy": redundancy.ravel(), "weighed": weighed.ravel(),
-            "scale": scale.ravel(), "influence": influence.reshape(n * dim, -1)}
+    return {
+        "group": np.full(n * dim, group.name),
+        "row": np.repeat(group.rows, dim),
+        "component": np.tile(np.array(group.components), n),
+        "unit": np.tile(np.array(group.units), n),
+        "reading": readings.ravel(),
+        "predicted": group.predicted.ravel(),
+        "residual": group.residual.ravel(),
+        "u": group.weighting.u.ravel(),
+        "redundancy": redundancy.ravel(),
+        "weighed": weighed.ravel(),
+        "scale": scale.ravel(),
+        "influence": influence.reshape(n * dim, -1),
+    }
 
 
 def _plain(group: Group, rows: NDArray[np.int64]) -> Block:
     """Derivatives of the readings themselves, in the same blocks."""
     size = rows.shape[1] * group.residual.shape[1]
     identity = np.broadcast_to(np.eye(size), (len(rows), size, size))
-    return Mixing(rows, np.ones((len(rows), size)) if rows.shape[1] == 1 else identity).apply(group.residual, group.parts)
+    return Mixing(rows, np.ones((len(rows), size)) if rows.shape[1] == 1 else identity).apply(
+        group.residual, group.parts
+    )
 
 
 def _own_weight(mixing: Mixing, size: int) -> Array:
@@ -128,5 +146,7 @@ def _rowwise(fit: Linearisation, first: Block, second: Block) -> Array:
         for b in second.parts:
             right = position[b.columns]
             if (right >= 0).any():
-                total += np.einsum("mdf,mfg,mdg->md", a.jacobian, fit.factor.between(left, right), b.jacobian, optimize=True)
+                total += np.einsum(
+                    "mdf,mfg,mdg->md", a.jacobian, fit.factor.between(left, right), b.jacobian, optimize=True
+                )
     return total

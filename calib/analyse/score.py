@@ -15,7 +15,7 @@ from calib.elimination import DenseFactor
 from calib.linearisation import Linearisation
 from calib.unknown import Selection, Unknown
 
-INVISIBLE = 1e-7      # share of a candidate's signal that the free unknowns leave over, below which it cannot be seen
+INVISIBLE = 1e-7  # share of a candidate's signal that the free unknowns leave over, below which it cannot be seen
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ class Field:
     """Whitened residuals outside the reach of the free unknowns, and what the candidates leave there.
 
     residual (n,): of all scalar readings; redundancy (n,): share of an error of each reading that shows in it;
-    basis (n, q): orthonormal directions that are taken; signals: for each candidate its columns (n, k) outside the basis;
-    sizes: for each candidate the norms (k,) of its columns before anything was taken away.
+    basis (n, q): orthonormal directions that are taken; signals: for each candidate its columns (n, k) outside the
+    basis; sizes: for each candidate the norms (k,) of its columns before anything was taken away.
     """
 
     residual: Array
@@ -112,7 +112,11 @@ class Field:
 
     def with_signals(self, columns: Sequence[Array]) -> Field:
         """The same with other candidates, given by their whole columns (n, k)."""
-        return replace(self, signals=tuple(self.outside(c) for c in columns), sizes=tuple(np.linalg.norm(c, axis=0) for c in columns))
+        return replace(
+            self,
+            signals=tuple(self.outside(c) for c in columns),
+            sizes=tuple(np.linalg.norm(c, axis=0) for c in columns),
+        )
 
     @cached_property
     def frames(self) -> tuple[Array, ...]:
@@ -128,10 +132,17 @@ class Field:
     def taking(self, frame: Array) -> Field:
         """The field after further orthonormal directions (n, k), outside the basis, are taken."""
         basis = np.concatenate([self.basis, frame], axis=1)
+
         def less(columns: Array) -> Array:
             return columns - frame @ (frame.T @ columns)
-        return Field(less(self.residual), np.maximum(self.redundancy - np.sum(frame ** 2, axis=1), 0.0), basis,
-                     tuple(less(s) for s in self.signals), self.sizes)
+
+        return Field(
+            less(self.residual),
+            np.maximum(self.redundancy - np.sum(frame**2, axis=1), 0.0),
+            basis,
+            tuple(less(s) for s in self.signals),
+            self.sizes,
+        )
 
     def draw(self, generator: np.random.Generator, count: int) -> Array:
         """Residuals (n, count) as they would be if nothing but the stated noise were there."""
@@ -139,7 +150,8 @@ class Field:
 
 
 def orthonormal(columns: Array, sizes: Array) -> Array:
-    """Orthonormal basis of columns (n, k), leaving out what is no more than rounding of columns of the given sizes (k,)."""
+    """Orthonormal basis of columns (n, k), leaving out what is no more than rounding of columns of the given sizes
+    (k,)."""
     scaled = columns / np.where(sizes > 0, sizes, 1.0)
     left, values, _ = np.linalg.svd(scaled, full_matrices=False)
     return left[:, values > INVISIBLE]
@@ -152,7 +164,7 @@ def field_of(fit: Linearisation, chosen: Sequence[Candidate]) -> Field:
     root = fit.factor.root if isinstance(fit.factor, DenseFactor) else None
     basis = np.linalg.qr(dense @ root)[0] if root is not None else np.linalg.qr(dense)[0]
     residual = residual - basis @ (basis.T @ residual)
-    redundancy = np.maximum(1.0 - np.sum(basis ** 2, axis=1), 0.0)
+    redundancy = np.maximum(1.0 - np.sum(basis**2, axis=1), 0.0)
     columns = fit.held_columns([c for one in chosen for c in one.columns])
     splits = np.cumsum([len(one.columns) for one in chosen])[:-1]
     return Field(residual, redundancy, basis, (), ()).with_signals(np.split(columns, splits, axis=1) if chosen else [])
@@ -166,12 +178,13 @@ def scores(fit: Linearisation, chosen: Sequence[Candidate] | None = None) -> lis
     Source: Rao's score test; DESIGN section 3.
     """
     from scipy.special import gammaincc
+
     chosen = candidates(fit) if chosen is None else list(chosen)
     field = field_of(fit, chosen)
     columns = fit.held_columns([c for one in chosen for c in one.columns])
     result, begin = [], 0
     for one, signal, size in zip(chosen, field.signals, field.sizes, strict=True):
-        whole = columns[:, begin:begin + len(one.columns)]
+        whole = columns[:, begin : begin + len(one.columns)]
         begin += len(one.columns)
         frame = orthonormal(signal, size)
         statistic, dof = float(np.sum((frame.T @ field.residual) ** 2)), frame.shape[1]
@@ -187,7 +200,7 @@ def scores(fit: Linearisation, chosen: Sequence[Candidate] | None = None) -> lis
 
 def _separability(signal: Array, whole: Array, size: Array) -> float:
     scale = np.where(size > 0, size, 1.0)
-    frame, corner = np.linalg.qr(whole / scale)
+    corner = np.asarray(np.linalg.qr(whole / scale, mode="r"))
     if not np.all(np.abs(np.diag(corner)) > 1e-12):
         return 0.0
     return float(np.linalg.svd(signal / scale @ np.linalg.inv(corner), compute_uv=False)[-1] ** 2)

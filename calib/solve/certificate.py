@@ -13,8 +13,8 @@ from calib.elimination import Conditions, DenseFactor, Factor, factorise
 from calib.system import System, Values
 from calib.uncertainty import Weighting
 
-STATIONARITY = 1e-6      # remaining step, in units of u, that passes
-CURVATURE_SIZE = 400     # unknowns up to which the exact Hessian is formed
+STATIONARITY = 1e-6  # remaining step, in units of u, that passes
+CURVATURE_SIZE = 400  # unknowns up to which the exact Hessian is formed
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,10 @@ class Certificate:
     """What was verified at an estimate.
 
     stationarity: remaining step in units of u within the active conditions (None where the loss is not least squares);
-    feasibility: largest excess of a condition in units of its tolerance; signs: whether every active bound or inequality
-    pushes the right way; curvature: smallest eigenvalue of the exact Hessian relative to the Gauss-Newton matrix (None
-    where there are too many unknowns); gap: duality gap where the method proves one; passed; why: a sentence.
+    feasibility: largest excess of a condition in units of its tolerance; signs: whether every active bound or
+    inequality pushes the right way; curvature: smallest eigenvalue of the exact Hessian relative to the Gauss-Newton
+    matrix (None where there are too many unknowns); gap: duality gap where the method proves one; passed; why: a
+    sentence.
     """
 
     stationarity: float | None
@@ -36,8 +37,13 @@ class Certificate:
     why: str
 
 
-def certify(system: System, values: Values, weightings: Sequence[Weighting], gap: float | None = None,
-            least_squares: bool = True) -> Certificate:
+def certify(
+    system: System,
+    values: Values,
+    weightings: Sequence[Weighting],
+    gap: float | None = None,
+    least_squares: bool = True,
+) -> Certificate:
     """Certify stored values of a system.
 
     weightings: row operations that were used; gap: duality gap proved by the method; least_squares: whether the
@@ -47,8 +53,15 @@ def certify(system: System, values: Values, weightings: Sequence[Weighting], gap
     equal, unequal, feasibility = system.active_conditions(values)
     if not least_squares:
         passed = feasibility <= 1.0 and gap is not None and gap <= 1e-6
-        return Certificate(None, feasibility, True, None, gap, passed,
-                           "duality gap closed" if passed else "the duality gap is open or a condition is broken")
+        return Certificate(
+            None,
+            feasibility,
+            True,
+            None,
+            gap,
+            passed,
+            "duality gap closed" if passed else "the duality gap is open or a condition is broken",
+        )
     blocks = system.blocks(values, weightings)
     pull = np.zeros(layout.size)
     for block in blocks:
@@ -65,7 +78,7 @@ def certify(system: System, values: Values, weightings: Sequence[Weighting], gap
     signs = _signs_hold(multipliers, len(equal), len(unequal), np.isin(pins, low), np.isin(pins, high))
     curvature = None
     if len(layout.free_columns) <= CURVATURE_SIZE and not factor.defect:
-        curvature = _curvature(system.second_order(values, weightings, multipliers[:len(matrix)]), factor)
+        curvature = _curvature(system.second_order(values, weightings, multipliers[: len(matrix)]), factor)
     reasons = []
     if not stationarity <= STATIONARITY:
         reasons.append(f"a step of {stationarity:.1e} u remains")
@@ -77,17 +90,29 @@ def certify(system: System, values: Values, weightings: Sequence[Weighting], gap
         reasons.append(f"the objective curves downwards ({curvature:.1e}): a saddle or a maximum")
     if factor.defect:
         reasons.append(f"{factor.defect} direction(s) change no reading")
-    return Certificate(stationarity, feasibility, signs, curvature, gap, not reasons,
-                       "; ".join(reasons) if reasons else "stationary, feasible and curved upwards")
+    return Certificate(
+        stationarity,
+        feasibility,
+        signs,
+        curvature,
+        gap,
+        not reasons,
+        "; ".join(reasons) if reasons else "stationary, feasible and curved upwards",
+    )
 
 
-def _signs_hold(multipliers: Array, equalities: int, inequalities: int, low: NDArray[np.bool_], high: NDArray[np.bool_]
-                ) -> bool:
-    """Whether active inequalities push downwards and bounds outwards; what is pinned from both sides may push anywhere."""
+def _signs_hold(
+    multipliers: Array, equalities: int, inequalities: int, low: NDArray[np.bool_], high: NDArray[np.bool_]
+) -> bool:
+    """Whether active inequalities push downwards and bounds outwards; what is pinned from both sides may push
+    anywhere."""
     slack = 1e-6 * max(1.0, float(np.abs(multipliers).max(initial=0.0)))
-    at_bound = multipliers[equalities + inequalities:]
-    return not (np.any(multipliers[equalities:equalities + inequalities] < -slack)
-                or np.any(low & ~high & (at_bound > slack)) or np.any(high & ~low & (at_bound < -slack)))
+    at_bound = multipliers[equalities + inequalities :]
+    return not (
+        np.any(multipliers[equalities : equalities + inequalities] < -slack)
+        or np.any(low & ~high & (at_bound > slack))
+        or np.any(high & ~low & (at_bound < -slack))
+    )
 
 
 def _curvature(second: Array, factor: Factor) -> float:

@@ -13,7 +13,7 @@ from calib.defect import defect_in_words
 from calib.effect import Effect
 from calib.errors import CalibrationError, DeclarationError, RankDefect
 from calib.linearisation import linearise_system
-from calib.observations import Observations, Quantity
+from calib.observations import Quantity
 from calib.problem import Problem
 from calib.solve.certificate import Certificate, certify
 from calib.solve.gauss_newton import GaussNewton
@@ -21,7 +21,7 @@ from calib.solve.method import Method
 from calib.system import System
 from calib.unknown import Unknown
 
-STILL = 1e-9      # relative change of uncertainties that depend on the estimate at which they stand still
+STILL = 1e-9  # relative change of uncertainties that depend on the estimate at which they stand still
 
 
 @dataclass(frozen=True)
@@ -83,10 +83,13 @@ class Estimate:
         if self.dof <= 0:
             return None
         from scipy.special import gammaincc
+
         return float(gammaincc(self.dof / 2, self.objective / 2))
 
 
-def solve(problem: Problem, method: Method | None = None, start: Estimate | Mapping[Any, Any] | None = None) -> Estimate:
+def solve(
+    problem: Problem, method: Method | None = None, start: Estimate | Mapping[Any, Any] | None = None
+) -> Estimate:
     """Estimate the unknowns of a problem.
 
     problem: what was declared; method: GaussNewton() if not given; start: an earlier Estimate, or {unknown: value}.
@@ -111,14 +114,32 @@ def solve(problem: Problem, method: Method | None = None, start: Estimate | Mapp
         iterations += outcome.iterations
     fit = linearise_system(system, outcome.values)
     if fit.factor.defect:
-        fewer = "" if sum(g.size for g in fit.groups) >= len(system.layout.free_columns) else (
-            f" ({sum(g.size for g in fit.groups)} readings for {len(system.layout.free_columns)} unknowns)")
+        fewer = (
+            ""
+            if sum(g.size for g in fit.groups) >= len(system.layout.free_columns)
+            else (f" ({sum(g.size for g in fit.groups)} readings for {len(system.layout.free_columns)} unknowns)")
+        )
         sentences = defect_in_words(system.layout, fit.factor.null, lambda: _sizes(fit))
-        raise RankDefect(f"{problem.name}: {fit.factor.defect} direction(s) of the unknowns cannot be known{fewer}: "
-                         + "; ".join(sentences) + ".", directions=sentences)
+        raise RankDefect(
+            f"{problem.name}: {fit.factor.defect} direction(s) of the unknowns cannot be known{fewer}: "
+            + "; ".join(sentences)
+            + ".",
+            directions=sentences,
+        )
     certificate = certify(system, outcome.values, [g.weighting for g in fit.groups], outcome.gap, method.least_squares)
-    return Estimate(problem, outcome.values, method.name, outcome.converged, iterations, outcome.message, certificate,
-                    fit.objective, fit.dof, {g.name: g.predicted for g in fit.groups}, {g.name: g.residual for g in fit.groups})
+    return Estimate(
+        problem,
+        outcome.values,
+        method.name,
+        outcome.converged,
+        iterations,
+        outcome.message,
+        certificate,
+        fit.objective,
+        fit.dof,
+        {g.name: g.predicted for g in fit.groups},
+        {g.name: g.residual for g in fit.groups},
+    )
 
 
 def _sizes(fit) -> Array:  # type: ignore[no-untyped-def]
@@ -160,7 +181,6 @@ def simulate(problem: Problem, values: Estimate | Mapping[Any, Any] | None, seed
     generator = np.random.default_rng(seed)
     readings = {}
     for term, weighting in zip(system.terms, system.weightings(stored), strict=True):
-        assert isinstance(term.bound, Observations)
         errors = weighting.draw(generator) if noise else 0.0
         readings[term.bound.group] = term.predict(stored) + errors
     return problem.with_readings(readings)

@@ -9,25 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.blocks import Array, Block
-from calib.elimination import Conditions, DenseFactor, Factor, factorise
+from calib.elimination import Conditions, DenseFactor, factorise
 from calib.errors import ModelBreakdown
 from calib.layout import Layout
-from calib.observations import Constraint
 from calib.solve.method import Method, Outcome, missing_readings
 from calib.system import System, Values
 from calib.uncertainty import Weighting
 from calib.unknown import Unknown
 
-
-LARGEST_DAMPING = 1e25     # in units of the diagonal of J'J; no step is short enough to lower the objective then
+LARGEST_DAMPING = 1e25  # in units of the diagonal of J'J; no step is short enough to lower the objective then
 
 
 @dataclass(frozen=True)
 class GaussNewton(Method):
     """The method for least squares: quadratic near the answer, damped far from it.
 
-    Where it becomes slow, because residuals or multipliers are large and the model is curved, it takes Newton steps with
-    the exact Hessian.
+    Where it becomes slow, because residuals or multipliers are large and the model is curved, it takes Newton steps
+    with the exact Hessian.
 
     tolerance: the remaining step, in units of u, at which it stops; iterations: how many steps at most.
     """
@@ -38,7 +36,6 @@ class GaussNewton(Method):
 
     def refusal(self, system: System) -> str | None:
         for term in system.conditions:
-            assert isinstance(term.bound, Constraint)
             if not term.bound.is_equality:
                 return f"constraint '{term.bound.name}' is an inequality; use Ipopt()"
         return missing_readings(system.problem)
@@ -48,35 +45,49 @@ class GaussNewton(Method):
         weightings = system.weightings(values)
         here = _Point.at(system, values, weightings)
         if not np.isfinite(here.objective):
-            system.blocks(values, weightings)              # raises the sentence that names row and model
-        floor, damping, growth, penalty, last = _rounding(system, values, weightings), 0.0, 2.0, 0.0, np.inf
+            system.blocks(values, weightings)  # raises the sentence that names row and model
+        floor, damping, growth, penalty, last = _rounding(system, values, weightings), 0.0, 2.0, 0.0, float("inf")
         lengths, slow = here.squares, 0
         message = "stopped at the limit of iterations"
         for iteration in range(1, self.iterations + 1):
-            lengths = np.maximum(lengths, here.squares)    # as MINPACK: a column that fades does not lose its damping
+            lengths = np.maximum(lengths, here.squares)  # as MINPACK: a column that fades does not lose its damping
             pins, room = _active(system, here.values, here.pull)
             conditions = here.conditions.pinned(pins, np.zeros(len(pins)))
             undamped = factorise(here.blocks, layout, conditions)
             remaining = undamped.decrement
-            if here.infeasible <= 1e-3 and (remaining <= self.tolerance or (
-                    remaining <= max(1e-6, floor) and remaining >= 0.5 * last and damping == 0.0)):
+            if here.infeasible <= 1e-3 and (
+                remaining <= self.tolerance
+                or (remaining <= max(1e-6, floor) and remaining >= 0.5 * last and damping == 0.0)
+            ):
                 return Outcome(_moved(layout, here.values, undamped.step, room), True, iteration, "converged")
             slow, last = slow + 1 if remaining > 0.3 * last else 0, remaining
-            multipliers = (np.linalg.lstsq(conditions.matrix.T, here.pull, rcond=None)[0] if len(conditions.target)
-                           else np.zeros(0))
-            forces = multipliers[:len(here.tolerance)] * here.tolerance
+            multipliers = (
+                np.linalg.lstsq(conditions.matrix.T, here.pull, rcond=None)[0]
+                if len(conditions.target)
+                else np.zeros(0)
+            )
+            forces = multipliers[: len(here.tolerance)] * here.tolerance
             penalty = max(penalty, 3.0 * float(np.abs(forces).max(initial=0.0)))
-            second = _second_order(system, here.values, weightings, undamped, multipliers) if slow else None
+            second = None
+            if slow and isinstance(undamped, DenseFactor) and undamped.rank:
+                second = system.second_order(here.values, weightings, multipliers)
             while damping < LARGEST_DAMPING:
-                step = None if second is None else _newton_step(second, undamped, damping * lengths)
-                exact = step is not None
+                step = None
+                if second is not None and isinstance(undamped, DenseFactor):
+                    step = _newton_step(second, undamped, damping * lengths)
+                bent = 0.0 if second is None or step is None else float(step @ second @ step)
                 if step is None:
-                    step = undamped.step if damping == 0.0 else factorise(here.blocks, layout, conditions, damping * lengths).step
+                    step = (
+                        undamped.step
+                        if damping == 0.0
+                        else factorise(here.blocks, layout, conditions, damping * lengths).step
+                    )
                 there = _Point.at(system, _moved(layout, here.values, step, room), weightings)
-                promised = here.promised(layout, step) + penalty * here.infeasible - (step @ second @ step if exact else 0.0)
+                promised = here.promised(layout, step) + penalty * here.infeasible - bent
                 gained = here.objective - there.objective + penalty * (here.infeasible - there.infeasible)
                 ratio = gained / promised if promised > 0 else -1.0
-                # A full step of a hundredth of u is right; what v'Pv says about it is lost in the rounding of the readings.
+                # A full step of a hundredth of u is right; what v'Pv says about it is lost in the rounding of the
+                # readings.
                 small = remaining <= 1e-2 and gained >= -1e-6 * max(1.0, here.objective)
                 nearer = here.infeasible > 1.0 and there.infeasible <= 0.5 * here.infeasible
                 if small or nearer or ratio > (1e-4 if damping else 0.1):
@@ -95,7 +106,8 @@ class GaussNewton(Method):
 class _Point:
     """A system evaluated at values: whitened rows, J'r and the diagonal of J'J over the free columns, and conditions.
 
-    objective: v'Pv; infeasible: sum of the excesses in units of their tolerances; both infinite where the model breaks down.
+    objective: v'Pv; infeasible: sum of the excesses in units of their tolerances; both infinite where the model breaks
+    down.
     """
 
     values: dict[Unknown, Array]
@@ -119,8 +131,16 @@ class _Point:
             return _Point(values, [], nothing, nothing, Conditions.none(len(free)), nothing, np.inf, np.inf)
         excess, matrix, tolerance = system.equalities(values)
         sound = np.isfinite(objective) and np.isfinite(squares).all()
-        return _Point(values, blocks, pull, squares, Conditions(matrix[:, free], -excess), tolerance,
-                      objective if sound else np.inf, float(np.abs(excess / tolerance).sum()))
+        return _Point(
+            values,
+            blocks,
+            pull,
+            squares,
+            Conditions(matrix[:, free], -excess),
+            tolerance,
+            objective if sound else np.inf,
+            float(np.abs(excess / tolerance).sum()),
+        )
 
     def promised(self, layout: Layout, step: Array) -> float:
         """By how much v'Pv would fall over a step (p,) if the model were straight."""
@@ -144,20 +164,17 @@ def _moved(layout: Layout, values: Values, step: Array, room: tuple[Array, Array
 
 def _gradient(blocks: Sequence[Block], position: NDArray[np.int64], size: int) -> tuple[Array, Array]:
     """Where the residuals pull the free columns, J'r (p,), and the diagonal of J'J (p,)."""
-    pull, squares = np.zeros(size + 1), np.zeros(size + 1)         # the last place takes what is held
+    pull, squares = np.zeros(size + 1), np.zeros(size + 1)  # the last place takes what is held
     for block in blocks:
         for part in block.parts:
             place = position[part.columns].ravel()
-            pull += np.bincount(np.where(place < 0, size, place),
-                                np.einsum("mdf,md->mf", part.jacobian, block.residual).ravel(), size + 1)
-            squares += np.bincount(np.where(place < 0, size, place), (part.jacobian ** 2).sum(axis=1).ravel(), size + 1)
+            pull += np.bincount(
+                np.where(place < 0, size, place),
+                np.einsum("mdf,md->mf", part.jacobian, block.residual).ravel(),
+                size + 1,
+            )
+            squares += np.bincount(np.where(place < 0, size, place), (part.jacobian**2).sum(axis=1).ravel(), size + 1)
     return pull[:size], squares[:size]
-
-
-def _second_order(system: System, values: Values, weightings: Sequence[Weighting], factor: Factor,
-                  multipliers: Array) -> Array | None:
-    """What the exact Hessian adds to J'J (p, p); None where there are too many unknowns for it."""
-    return system.second_order(values, weightings, multipliers) if isinstance(factor, DenseFactor) and factor.rank else None
 
 
 def _newton_step(second: Array, factor: DenseFactor, damping: Array) -> Array | None:
@@ -176,10 +193,17 @@ def _newton_step(second: Array, factor: DenseFactor, damping: Array) -> Array | 
 
 def _contradiction(system: System, values: Values) -> str | None:
     """A sentence naming the constraint that is missed most, where the constraints cannot all be met."""
-    worst = [(float(np.abs(t.predict(values) - t.bound.lower).max() / t.bound.tolerance), t.bound.name) for t in system.conditions]
+    worst = [
+        (float(np.abs(t.predict(values) - t.bound.lower).max() / t.bound.tolerance), t.bound.name)
+        for t in system.conditions
+    ]
     missed = max(worst, default=(0.0, ""))
-    return (f"the constraints contradict each other or cannot be reached: '{missed[1]}' is missed by {missed[0]:.3g} times its "
-            "tolerance; check the constraints, or start nearer" if missed[0] > 1.0 else None)
+    return (
+        f"the constraints contradict each other or cannot be reached: '{missed[1]}' is missed by {missed[0]:.3g} times "
+        "its tolerance; check the constraints, or start nearer"
+        if missed[0] > 1.0
+        else None
+    )
 
 
 def _into_bounds(system: System, values: dict[Unknown, Array]) -> dict[Unknown, Array]:

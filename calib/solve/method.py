@@ -31,7 +31,7 @@ class Method(ABC):
     """A way to solve a declared problem."""
 
     name: str = "method"
-    least_squares: bool = True      # whether it minimises v'Pv; another loss is judged by its duality gap
+    least_squares: bool = True  # whether it minimises v'Pv; another loss is judged by its duality gap
 
     @abstractmethod
     def refusal(self, system: System) -> str | None:
@@ -51,5 +51,8 @@ class Method(ABC):
 def missing_readings(problem: Problem) -> str | None:
     """A sentence naming observations without readings, which can be planned but not solved."""
     empty = [o.group for o in problem.observations if o.readings is None]
-    return (f"observations '{empty[0]}' have no readings; give readings, or linearise(problem, values) to plan"
-            if empty else None)
+    return (
+        f"observations '{empty[0]}' have no readings; give readings, or linearise(problem, values) to plan"
+        if empty
+        else None
+    )

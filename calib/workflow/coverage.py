@@ -13,12 +13,13 @@ from calib.linearisation import linearise
 from calib.problem import Problem
 from calib.solve.estimate import Estimate, simulate, solve
 
-NINETY_FIVE = 1.959963984540054      # k of a 95 % interval of a normal distribution
+NINETY_FIVE = 1.959963984540054  # k of a 95 % interval of a normal distribution
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Standardised errors (trials, k) of named results over simulated repetitions; failures: solves without certificate."""
+    """Standardised errors (trials, k) of named results over simulated repetitions; failures: solves without
+    certificate."""
 
     names: tuple[str, ...]
     errors: Array
@@ -32,14 +33,14 @@ class Coverage:
     @property
     def spread(self) -> Array:
         """True spread over stated u (k,): 1 where u is right."""
-        return np.sqrt(np.mean(self.errors ** 2, axis=0))
+        return np.sqrt(np.mean(self.errors**2, axis=0))
 
 
 def coverage(truth: Estimate, seeds: Sequence[int]) -> Coverage:
     """Simulate readings of a problem at an estimate taken as the truth, solve each, and standardise the errors.
 
-    truth: values to simulate from; seeds: one for each repetition. Results are the scalar quantities of the problem and the
-    free scalar unknowns that are vectors.
+    truth: values to simulate from; seeds: one for each repetition. Results are the scalar quantities of the problem
+    and the free scalar unknowns that are vectors.
     Returns the Coverage. Source: JCGM 101:2008, 8 (validation by repeated simulation).
     """
     problem = truth.problem

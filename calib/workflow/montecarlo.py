@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from calib.blocks import Array, Mixing
 from calib.errors import CalibrationError
-from calib.linearisation import Functions, linearise_system
+from calib.linearisation import Functions, Linearisation, linearise_system
 from calib.observations import Observations, Quantity
 from calib.solve.estimate import Estimate
 from calib.system import System, Term
 from calib.uncertainty import Weighting
 from calib.unknown import Unknown
 
-LANE_NUMBERS = 4_000_000     # numbers in the derivatives of one batch of trials
-STEPS = 25                   # Gauss-Newton steps at most; trials start at the truth, so that three are usual
+LANE_NUMBERS = 4_000_000  # numbers in the derivatives of one batch of trials
+STEPS = 25  # Gauss-Newton steps at most; trials start at the truth, so that three are usual
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class MonteCarlo:
         """Shortest coverage interval (k, 2); JCGM 101:2008, 7.7."""
         ordered = np.sort(self.samples, axis=0)
         inside = int(np.ceil(probability * len(ordered)))
-        widths = ordered[inside - 1:] - ordered[:len(ordered) - inside + 1]
+        widths = ordered[inside - 1 :] - ordered[: len(ordered) - inside + 1]
         begin = widths.argmin(axis=0)
         columns = np.arange(ordered.shape[1])
         return np.stack([ordered[begin, columns], ordered[begin + inside - 1, columns]], axis=1)
@@ -85,14 +85,16 @@ class _Lanes:
         residuals, matrices = [], []
         for term, weighting, reading in zip(self.system.terms, self.weightings, readings, strict=True):
             result = term.traced.program(term.any_free)(self.inputs(term, values, trials), trials * term.n)
-            predicted = result[:term.dim].reshape(term.dim, trials, term.n).transpose(1, 2, 0)
+            predicted = result[: term.dim].reshape(term.dim, trials, term.n).transpose(1, 2, 0)
             residual = reading - predicted
             _unwrap(term, residual)
             matrix = np.zeros((trials, term.n, term.dim, self.size))
             begin = term.dim
             for columns, source, want in zip(term.columns, term.traced.sources, term.any_free, strict=True):
                 if want:
-                    piece = result[begin:begin + term.dim * source.freedom].reshape(source.freedom, term.dim, trials, term.n)
+                    piece = result[begin : begin + term.dim * source.freedom].reshape(
+                        source.freedom, term.dim, trials, term.n
+                    )
                     begin += term.dim * source.freedom
                     _scatter(matrix, piece, self.system.layout.position[columns])
             for mixing in weighting.whitening:
@@ -105,20 +107,23 @@ class _Lanes:
         excess, matrices = [np.zeros((trials, 0))], [np.zeros((trials, 0, self.size))]
         for term in self.system.conditions:
             result = term.traced.program(term.any_free)(self.inputs(term, values, trials), trials * term.n)
-            value = result[:term.dim].reshape(term.dim, trials, term.n).transpose(1, 2, 0) - term.bound.lower
+            value = result[: term.dim].reshape(term.dim, trials, term.n).transpose(1, 2, 0) - term.bound.lower
             matrix = np.zeros((trials, term.n, term.dim, self.size))
             begin = term.dim
             for columns, source, want in zip(term.columns, term.traced.sources, term.any_free, strict=True):
                 if want:
-                    piece = result[begin:begin + term.dim * source.freedom].reshape(source.freedom, term.dim, trials, term.n)
+                    piece = result[begin : begin + term.dim * source.freedom].reshape(
+                        source.freedom, term.dim, trials, term.n
+                    )
                     begin += term.dim * source.freedom
                     _scatter(matrix, piece, self.system.layout.position[columns])
             excess.append(value.reshape(trials, -1))
             matrices.append(matrix.reshape(trials, -1, self.size))
         return np.concatenate(excess, axis=1), np.concatenate(matrices, axis=1)
 
-    def solve(self, start: dict[Unknown, Array], readings: Sequence[Array], trials: int
-              ) -> tuple[dict[Unknown, Array], NDArray[np.bool_]]:
+    def solve(
+        self, start: dict[Unknown, Array], readings: Sequence[Array], trials: int
+    ) -> tuple[dict[Unknown, Array], NDArray[np.bool_]]:
         """Stored values (trials count, width) of all unknowns after Gauss-Newton, and which trials converged."""
         layout = self.system.layout
         values = {u: np.tile(v, (trials, 1)) for u, v in start.items()}
@@ -131,11 +136,11 @@ class _Lanes:
             conditions = conditions / scale[:, None, :]
             m = excess.shape[1]
             saddle = np.zeros((trials, self.size + m, self.size + m))
-            saddle[:, :self.size, :self.size] = matrix.transpose(0, 2, 1) @ matrix
-            saddle[:, self.size:, :self.size] = conditions
-            saddle[:, :self.size, self.size:] = conditions.transpose(0, 2, 1)
+            saddle[:, : self.size, : self.size] = matrix.transpose(0, 2, 1) @ matrix
+            saddle[:, self.size :, : self.size] = conditions
+            saddle[:, : self.size, self.size :] = conditions.transpose(0, 2, 1)
             right = np.concatenate([(matrix.transpose(0, 2, 1) @ residual[..., None])[..., 0], -excess], axis=1)
-            step = np.linalg.solve(saddle, right[..., None])[:, :self.size, 0]
+            step = np.linalg.solve(saddle, right[..., None])[:, : self.size, 0]
             previous, remaining = remaining, np.linalg.norm((matrix @ step[..., None])[..., 0], axis=1)
             step /= scale
             full = np.zeros((trials, layout.size))
@@ -151,14 +156,14 @@ class _Lanes:
         """Values (trials, k) of quantities."""
         pieces = []
         for quantity in quantities:
-            term = self.system.results.get(quantity) or self.system._plain(quantity)
+            term = self.system.results.get(quantity) or self.system.plain(quantity)
             nothing = (False,) * len(term.feeds)
             result = term.traced.program(nothing)(self.inputs(term, values, trials), trials * term.n)
             pieces.append(result.reshape(term.dim, trials, term.n).transpose(1, 2, 0).reshape(trials, -1))
         return np.concatenate(pieces, axis=1)
 
 
-def _unwrap(term: Term, residual: Array) -> None:
+def _unwrap(term: Term[Observations], residual: Array) -> None:
     period = term.bound.period
     if period is not None:
         for j, each in enumerate([period] * term.dim if np.ndim(period) == 0 else period):
@@ -185,9 +190,9 @@ def _mix(mixing: Mixing, array: Array) -> Array:
 def montecarlo(estimate: Estimate, trials: int, seed: int, quantities: Sequence[Quantity] | None = None) -> MonteCarlo:
     """Propagate the stated distributions through the whole estimation.
 
-    estimate: taken as the truth; trials: how many re-estimates; seed: of the errors; quantities: results to sample (all of
-    the problem if not given). Readings and priors are drawn from the declared model; held unknowns with a prior are drawn
-    from it.
+    estimate: taken as the truth; trials: how many re-estimates; seed: of the errors; quantities: results to sample
+    (all of the problem if not given). Readings and priors are drawn from the declared model; held unknowns with a prior
+    are drawn from it.
     Raises CalibrationError where the problem has bounds or inequalities, which this check does not cover.
     Source: JCGM 101:2008, 7.
     """
@@ -196,7 +201,9 @@ def montecarlo(estimate: Estimate, trials: int, seed: int, quantities: Sequence[
     if not chosen:
         raise CalibrationError(f"{estimate.problem.name} has no quantities; name the results that you want sampled.")
     if any(not c.is_equality for c in estimate.problem.constraints):
-        raise CalibrationError(f"{estimate.problem.name} has inequality constraints, which the Monte Carlo check does not cover.")
+        raise CalibrationError(
+            f"{estimate.problem.name} has inequality constraints, which the Monte Carlo check does not cover."
+        )
     truth = dict(estimate.values)
     fit = linearise_system(system, truth)
     weightings = [g.weighting for g in fit.groups]
@@ -210,6 +217,7 @@ def montecarlo(estimate: Estimate, trials: int, seed: int, quantities: Sequence[
         failures += int(np.sum(~good))
         samples.append(lanes.functions(chosen, values, count)[good])
     from calib.analyse.covariance import covariance
+
     functions = [_as_functions(system, q, truth) for q in chosen]
     linear = covariance(fit, *functions)
     return MonteCarlo(linear.names, linear.units, np.concatenate(samples), failures, linear.values, linear.u)
@@ -217,18 +225,25 @@ def montecarlo(estimate: Estimate, trials: int, seed: int, quantities: Sequence[
 
 def _as_functions(system: System, quantity: Quantity, truth: dict[Unknown, Array]) -> Functions:
     value, derivatives = system.result(quantity, truth)
-    return Functions(tuple(quantity.labels(value.shape[1])), quantity.units(value.shape[1]) * quantity.n, value.ravel(), derivatives)
+    return Functions(
+        tuple(quantity.labels(value.shape[1])), quantity.units(value.shape[1]) * quantity.n, value.ravel(), derivatives
+    )
 
 
-def _draw(fit, system: System, truth: dict[Unknown, Array], generator: np.random.Generator, count: int):  # type: ignore[no-untyped-def]
-    """Start values and readings (count, n, dim) of every group; the readings see held quantities drawn from their priors,
-    the estimation does not."""
+def _draw(
+    fit: Linearisation, system: System, truth: dict[Unknown, Array], generator: np.random.Generator, count: int
+) -> tuple[dict[Unknown, Array], list[Array]]:
+    """Start values and readings (count, n, dim) of every group; the readings see held quantities drawn from their
+    priors, the estimation does not."""
     lanes = _Lanes(system, [g.weighting for g in fit.groups])
     seen = {u: np.tile(v, (count, 1)) for u, v in truth.items()}
     from calib.analyse.covariance import considered
+
     held = considered(fit)
     if held.columns:
-        draws = generator.multivariate_normal(np.zeros(len(held.columns)), held.covariance, size=count, method="cholesky")
+        draws = generator.multivariate_normal(
+            np.zeros(len(held.columns)), held.covariance, size=count, method="cholesky"
+        )
         step = np.zeros((count, system.layout.size))
         step[:, list(held.columns)] = draws
         for unknown in system.layout.unknowns:
@@ -236,7 +251,6 @@ def _draw(fit, system: System, truth: dict[Unknown, Array], generator: np.random
             seen[unknown] = unknown.move(seen[unknown], moved)
     readings = []
     for term, group in zip(system.terms, fit.groups, strict=True):
-        assert isinstance(term.bound, Observations)
         nothing = (False,) * len(term.feeds)
         predicted = term.traced.program(nothing)(lanes.inputs(term, seen, count), count * term.n)
         predicted = predicted.reshape(term.dim, count, term.n).transpose(1, 2, 0)

@@ -1,4 +1,5 @@
-"""Aliases: effects that these readings cannot tell apart, effects that hide in the unknowns, and what would tell them."""
+"""Aliases: effects that these readings cannot tell apart, effects that hide in the unknowns, and what would tell
+them."""
 
 from __future__ import annotations
 
@@ -11,12 +12,13 @@ from calib.analyse.score import Candidate, Field, orthonormal
 from calib.blocks import Array
 from calib.linearisation import Linearisation
 
-RAISES = 4.0          # expected rise of the sum of squares up to which another effect is an alias
+RAISES = 4.0  # expected rise of the sum of squares up to which another effect is an alias
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """An effect that the unknowns absorb: what it could add to the uncertainty of a result if it were of usual size (SI)."""
+    """An effect that the unknowns absorb: what it could add to the uncertainty of a result if it were of usual size
+    (SI)."""
 
     effect: str
     quantity: str
@@ -24,7 +26,9 @@ class Hidden:
     unit: str
 
 
-def aliases(field: Field, chosen: Sequence[int], values: dict[int, Array], columns: Sequence[Array]) -> dict[int, list[int]]:
+def aliases(
+    field: Field, chosen: Sequence[int], values: dict[int, Array], columns: Sequence[Array]
+) -> dict[int, list[int]]:
     """For each chosen candidate the others that could stand in its place.
 
     field: nominal field; chosen: places of the chosen candidates; values: their parameters (k,) SI; columns: of all
@@ -64,12 +68,19 @@ def hidden(fit: Linearisation, field: Field, candidates: Sequence[Candidate]) ->
             continue
         moved = -fit.factor.solve(np.asarray(derivatives.T @ columns))
         change = functions.derivatives[:, list(one.columns)] + fit.free_part(functions.derivatives) @ moved
-        usual = np.array([np.sqrt(p.plausible[0] * p.plausible[1]) if p.plausible[0] > 0 else 0.5 * p.plausible[1]
-                          for p in one.effect.parameters])
+        usual = np.array(
+            [
+                np.sqrt(p.plausible[0] * p.plausible[1]) if p.plausible[0] > 0 else 0.5 * p.plausible[1]
+                for p in one.effect.parameters
+            ]
+        )
         added = np.sqrt(np.sum((change * usual) ** 2, axis=1))
         u = np.sqrt(np.diag(fit.factor.covariance(fit.free_part(functions.derivatives))))
-        found += [Hidden(one.label, name, float(a), unit)
-                  for name, unit, a, own in zip(functions.labels, functions.units, added, u, strict=True) if a > 1e-3 * own]
+        found += [
+            Hidden(one.label, name, float(a), unit)
+            for name, unit, a, own in zip(functions.labels, functions.units, added, u, strict=True)
+            if a > 1e-3 * own
+        ]
     return found
 
 
@@ -82,9 +93,11 @@ def what_would_tell(one: Candidate, others: Sequence[Candidate]) -> str:
         only = sorted((mine - theirs) or (theirs - mine))
         if only:
             rest = sorted((theirs if mine - theirs else mine) - set(only))
-            advice.append(f"vary {' and '.join(w.replace('_', ' ') for w in only)}"
-                          + (f" independently of {' and '.join(w.replace('_', ' ') for w in rest)}" if rest else "")
-                          + f" to tell {one.label} from {other.label}")
+            advice.append(
+                f"vary {' and '.join(w.replace('_', ' ') for w in only)}"
+                + (f" independently of {' and '.join(w.replace('_', ' ') for w in rest)}" if rest else "")
+                + f" to tell {one.label} from {other.label}"
+            )
         else:
             advice.append(f"read more positions over a wider range to tell {one.label} from {other.label}")
     return "; ".join(dict.fromkeys(advice))

@@ -22,15 +22,15 @@ from calib.workflow.discrepancy.readings import Channel, channels, row_numbers
 from calib.workflow.discrepancy.search import Finding, Shares, corrected, independent_looks, search, tail
 from calib.workflow.discrepancy.structure import Pattern, patterns
 
-ROUNDS = 4            # of naming and refitting, so that a curved model is judged where it is
-MOST_NAMED = 3        # effects up to which a sum of them is an answer; more is structure without a name
-CROWD = 0.06          # share of readings beyond which blunders are no blunders but heavy tails
+ROUNDS = 4  # of naming and refitting, so that a curved model is judged where it is
+MOST_NAMED = 3  # effects up to which a sum of them is an answer; more is structure without a name
+CROWD = 0.06  # share of readings beyond which blunders are no blunders but heavy tails
 
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """One effect that explains the readings: parameters {name: (value, u, unit)} in display units, corrected p-value of its
-    absence, aliases that these readings cannot tell from it, and a word on its size where that is unusual."""
+    """One effect that explains the readings: parameters {name: (value, u, unit)} in display units, corrected p-value
+    of its absence, aliases that these readings cannot tell from it, and a word on its size where that is unusual."""
 
     name: str
     channel: str
@@ -54,10 +54,10 @@ class Place:
 class Explanation:
     """What was found; sentence says it in plain words.
 
-    verdict: consistent, effects, unknown-structure, noise-misstated or outliers; p_value: of nominal model and stated noise;
-    effects; outlier_rows: of the data file; noise_factor: actual over stated standard deviation after the effects;
-    rms, heldout_rms: (before, after), the latter None where no rows are held out; where; structure; noise: looks at the noise
-    that failed; hidden; next_measurement; before, after: the estimates.
+    verdict: consistent, effects, unknown-structure, noise-misstated or outliers; p_value: of nominal model and stated
+    noise; effects; outlier_rows: of the data file; noise_factor: actual over stated standard deviation after the
+    effects; rms, heldout_rms: (before, after), the latter None where no rows are held out; where; structure; noise:
+    looks at the noise that failed; hidden; next_measurement; before, after: the estimates.
     """
 
     verdict: str
@@ -100,15 +100,17 @@ class _Scene:
 
     def serial(self, correlation: float) -> Field:
         """The field with rows whitened for serial correlation."""
-        return _field(lagged(self.derivatives, self.channels, correlation),
-                      lagged(self.residual[:, None], self.channels, correlation)[:, 0],
-                      [lagged(c, self.channels, correlation) for c in self.columns])
+        return _field(
+            lagged(self.derivatives, self.channels, correlation),
+            lagged(self.residual[:, None], self.channels, correlation)[:, 0],
+            [lagged(c, self.channels, correlation) for c in self.columns],
+        )
 
 
 def _field(derivatives: Array, residual: Array, columns: Sequence[Array]) -> Field:
     basis = orthonormal(derivatives, np.linalg.norm(derivatives, axis=0))
     left = residual - basis @ (basis.T @ residual)
-    return Field(left, np.maximum(1 - np.sum(basis ** 2, axis=1), 0), basis, (), ()).with_signals(columns)
+    return Field(left, np.maximum(1 - np.sum(basis**2, axis=1), 0), basis, (), ()).with_signals(columns)
 
 
 def _scene(problem: Problem, at: Estimate, named: Sequence[Candidate]) -> _Scene:
@@ -125,24 +127,30 @@ def _scene(problem: Problem, at: Estimate, named: Sequence[Candidate]) -> _Scene
             residual += column @ at.values[one.unknown][one.instance]
     dense = derivatives.toarray()
     field = field_of(fit, ()) if not named else None
-    whole = _field(dense, residual, columns) if field is None else Field(
-        field.residual, field.redundancy, field.basis, (), ()).with_signals(columns)
+    whole = (
+        _field(dense, residual, columns)
+        if field is None
+        else Field(field.residual, field.redundancy, field.basis, (), ()).with_signals(columns)
+    )
     return _Scene(fit, chosen, tuple(columns), dense, residual, tuple(channels(fit)), whole)
 
 
-def explain(problem: Problem, level: float = 0.01, check: Mapping[str, NDArray[np.bool_]] | None = None,
-            seed: int = 20) -> Explanation:
+def explain(
+    problem: Problem, level: float = 0.01, check: Mapping[str, NDArray[np.bool_]] | None = None, seed: int = 20
+) -> Explanation:
     """Find out why model and readings disagree, or that they do not.
 
-    problem: with its effects attached as held candidates; level: probability of a false alarm; check: {group: (n,) true where
-    a row is held out} to judge the gap on; seed: of the simulated looks.
+    problem: with its effects attached as held candidates; level: probability of a false alarm; check: {group: (n,)
+    true where a row is held out} to judge the gap on; seed: of the simulated looks.
     Returns the Explanation. Raises what `solve` raises where the nominal model cannot be estimated.
     """
     shares = Shares()
     before = solve(problem)
     scene = _scene(problem, before, ())
     nominal = scene
-    estimate, named, finding, outliers = before, (), search(scene.field, scene.readings, level, seed, shares), ()
+    named: tuple[Candidate, ...] = ()
+    outliers: tuple[int, ...] = ()
+    estimate, finding = before, search(scene.field, scene.readings, level, seed, shares)
     for _ in range(ROUNDS):
         chosen = tuple(scene.chosen[e] for e in finding.effects)
         rows = tuple(sorted({int(row_numbers(scene.fit)[b]) for b in finding.blunders}))
@@ -172,7 +180,9 @@ def _refit(problem: Problem, named: Sequence[Candidate], outliers: Sequence[int]
     return solve(freed, start=start)
 
 
-def _despite_uneven_noise(scene: _Scene, finding: Finding, level: float, seed: int, shares: Shares) -> tuple[Finding, bool]:
+def _despite_uneven_noise(
+    scene: _Scene, finding: Finding, level: float, seed: int, shares: Shares
+) -> tuple[Finding, bool]:
     """Search again with the noise scaled where its size is uneven; what is named must survive that."""
     if not finding.effects:
         return finding, False
@@ -191,29 +201,38 @@ def _local_scale(field: Field, channels: Sequence[Channel]) -> Array:
     for channel in channels:
         keys = channel.covariates.get("block", channel.covariates.get("sweep"))
         ordered = channel.places[channel.order]
-        groups = ([channel.places[keys == k] for k in np.unique(keys)] if keys is not None and len(np.unique(keys)) > 1
-                  else np.array_split(ordered, max(1, len(ordered) // 12)))
+        groups = (
+            [channel.places[keys == k] for k in np.unique(keys)]
+            if keys is not None and len(np.unique(keys)) > 1
+            else np.array_split(ordered, max(1, len(ordered) // 12))
+        )
         for places in groups:
             seen = max(float(np.sum(field.redundancy[places])), 1.0)
             scale[places] = np.sqrt(max(float(np.sum(field.residual[places] ** 2)) / seen, 0.05))
     return scale
 
 
-def _despite_serial_noise(scene: _Scene, finding: Finding, level: float, seed: int, shares: Shares
-                          ) -> tuple[Finding, float]:
+def _despite_serial_noise(
+    scene: _Scene, finding: Finding, level: float, seed: int, shares: Shares
+) -> tuple[Finding, float]:
     """Judge again with first-order serial correlation: noise that remembers must not become a discovery.
 
     Returns the finding to keep and the correlation where that noise explains the readings better (0 where it does not).
     """
     n = len(scene.residual)
     correlation, likelihood = best_correlation(scene.derivatives, scene.residual, scene.channels)
-    white = n * np.log(max(finding.left.squares, 1e-12) / n) + (finding.left.basis.shape[1] - scene.field.basis.shape[1]) * np.log(n)
+    white = n * np.log(max(finding.left.squares, 1e-12) / n) + (
+        finding.left.basis.shape[1] - scene.field.basis.shape[1]
+    ) * np.log(n)
     if abs(correlation) < 0.05 or likelihood + np.log(n) >= white:
         return finding, 0.0
     again = search(scene.serial(correlation), scene.readings, level, seed, shares)
     if again.effects and again.left.squares > 0:
-        both = (n * np.log(again.left.squares / n) + sum(len(c.places) - 1 for c in scene.channels) * np.log(1 - correlation ** 2)
-                + (again.left.basis.shape[1] - scene.field.basis.shape[1] + 1) * np.log(n))
+        both = (
+            n * np.log(again.left.squares / n)
+            + sum(len(c.places) - 1 for c in scene.channels) * np.log(1 - correlation**2)
+            + (again.left.basis.shape[1] - scene.field.basis.shape[1] + 1) * np.log(n)
+        )
         if both < likelihood + np.log(n) - 10:
             return again, correlation
     plain = search(scene.field.with_signals([]), scene.readings, level, seed, shares)
@@ -234,7 +253,9 @@ def _places(field: Field, shapes: Sequence[Pattern], seed: int) -> list[Place]:
     for shape, drop, dof in zip(shapes, drops, dofs, strict=True):
         left = field.dof - int(dof)
         scale = max(1.0, (field.squares - drop) / left) if left > 0 else 1.0
-        found.append(Place(shape.channel, shape.covariate, shape.kind, corrected(tail(drop, int(dof), scale, left), looks)))
+        found.append(
+            Place(shape.channel, shape.covariate, shape.kind, corrected(tail(drop, int(dof), scale, left), looks))
+        )
     return sorted(found, key=lambda p: p.p_value)
 
 
@@ -246,9 +267,19 @@ def _noise(scene: _Scene, finding: Finding, level: float, seed: int, serial: flo
     return tuple(sorted(failed, key=lambda t: t.p_value))
 
 
-def _conclude(problem: Problem, before: Estimate, estimate: Estimate, nominal: _Scene, scene: _Scene, finding: Finding,
-              named: tuple[Candidate, ...], outliers: tuple[int, ...], structure: tuple[Place, ...], noise: tuple[NoiseTest, ...],
-              check: Mapping[str, NDArray[np.bool_]] | None) -> Explanation:
+def _conclude(
+    problem: Problem,
+    before: Estimate,
+    estimate: Estimate,
+    nominal: _Scene,
+    scene: _Scene,
+    finding: Finding,
+    named: tuple[Candidate, ...],
+    outliers: tuple[int, ...],
+    structure: tuple[Place, ...],
+    noise: tuple[NoiseTest, ...],
+    check: Mapping[str, NDArray[np.bool_]] | None,
+) -> Explanation:
     crowd = len(outliers) > max(2, CROWD * len(np.unique(row_numbers(scene.fit))))
     if structure or len(named) > MOST_NAMED:
         verdict = "unknown-structure"
@@ -267,7 +298,9 @@ def _conclude(problem: Problem, before: Estimate, estimate: Estimate, nominal: _
         effects, advice = _named(scene, finding, named, after)
     rows = outliers if verdict in ("effects", "outliers") else ()
     size = size_test(nominal.field).p_value
-    where = tuple(p for p in _places(nominal.field, patterns(nominal.channels, len(nominal.residual)), 1)[:8] if p.p_value < 0.01)
+    where = tuple(
+        p for p in _places(nominal.field, patterns(nominal.channels, len(nominal.residual)), 1)[:8] if p.p_value < 0.01
+    )
     p_value = min([size, *(p.p_value for p in where), *(e.p_value for e in effects)])
     spread = float(np.sqrt(after.objective / after.dof)) if after.dof > 0 else 1.0
     rms = (float(np.sqrt(before.objective / before.dof)) if before.dof > 0 else 0.0, spread)
@@ -276,35 +309,73 @@ def _conclude(problem: Problem, before: Estimate, estimate: Estimate, nominal: _
         first = held_out(problem, check, before)
         named_problem = problem.free(*[c.selection for c in named]) if verdict == "effects" else problem
         if rows:
-            named_problem = named_problem.keep({o.group: ~np.isin(o.rows, rows) | check.get(o.group, np.zeros(o.n, bool))
-                                                for o in problem.observations if not o.is_prior})
-            masks = {o.group: check[o.group][np.isin(p.rows, o.rows)] for o, p in
-                     zip(named_problem.observations, problem.observations, strict=True) if o.group in check}
+            named_problem = named_problem.keep(
+                {
+                    o.group: ~np.isin(o.rows, rows) | check.get(o.group, np.zeros(o.n, bool))
+                    for o in problem.observations
+                    if not o.is_prior
+                }
+            )
+            masks = {
+                o.group: check[o.group][np.isin(p.rows, o.rows)]
+                for o, p in zip(named_problem.observations, problem.observations, strict=True)
+                if o.group in check
+            }
         else:
             masks = dict(check)
         second = held_out(named_problem, masks, after) if verdict in ("effects", "outliers") else first
         held = (first.rms, second.rms) if first and second else None
     unseen = tuple(hidden(nominal.fit, nominal.field, nominal.chosen))
-    return Explanation(verdict, _sentence(verdict, effects, rows, structure, noise, rms), p_value, effects, rows, spread, rms, held,
-                       where, structure, noise, unseen, advice, before, after)
+    return Explanation(
+        verdict,
+        _sentence(verdict, effects, rows, structure, noise, rms),
+        p_value,
+        effects,
+        rows,
+        spread,
+        rms,
+        held,
+        where,
+        structure,
+        noise,
+        unseen,
+        advice,
+        before,
+        after,
+    )
 
 
-def _named(scene: _Scene, finding: Finding, named: Sequence[Candidate], after: Estimate) -> tuple[tuple[NamedEffect, ...], str]:
+def _named(
+    scene: _Scene, finding: Finding, named: Sequence[Candidate], after: Estimate
+) -> tuple[tuple[NamedEffect, ...], str]:
     from calib.analyse.covariance import covariance
     from calib.linearisation import linearise
+
     fit = linearise(after)
-    values = {place: after.values[scene.chosen[place].unknown][scene.chosen[place].instance] for place in finding.effects}
+    values = {
+        place: after.values[scene.chosen[place].unknown][scene.chosen[place].instance] for place in finding.effects
+    }
     standing_in = aliases(scene.field, finding.effects, values, scene.columns)
     effects, advice = [], []
     widened = np.sqrt(finding.scale)
     for place, p in zip(finding.effects, finding.p_effects, strict=True):
         one = scene.chosen[place]
         u = covariance(fit, one.selection).u * widened
-        parameters = {q.name: (float(v / units.factor(q.unit)), float(s / units.factor(q.unit)), q.unit)
-                      for q, v, s in zip(one.effect.parameters, values[place], u, strict=True)}
+        parameters = {
+            q.name: (float(v / units.factor(q.unit)), float(s / units.factor(q.unit)), q.unit)
+            for q, v, s in zip(one.effect.parameters, values[place], u, strict=True)
+        }
         others = [scene.chosen[o] for o in standing_in[place]]
-        effects.append(NamedEffect(one.effect.name, one.channel, parameters, p, tuple((o.effect.name, o.channel) for o in others),
-                                   _plausibility(one, values[place])))
+        effects.append(
+            NamedEffect(
+                one.effect.name,
+                one.channel,
+                parameters,
+                p,
+                tuple((o.effect.name, o.channel) for o in others),
+                _plausibility(one, values[place]),
+            )
+        )
         if others:
             advice.append(what_would_tell(one, others))
     return tuple(effects), "; ".join(advice)
@@ -313,28 +384,43 @@ def _named(scene: _Scene, finding: Finding, named: Sequence[Candidate], after: E
 def _plausibility(one: Candidate, values: Array) -> str:
     words = []
     for parameter, value in zip(one.effect.parameters, values, strict=True):
-        low, high = parameter.plausible
+        high = parameter.plausible[1]
         if abs(value) > 3 * high:
             factor = units.factor(parameter.unit)
-            words.append(f"{parameter.name} = {value / factor:.3g} {parameter.unit} is implausible: up to {high / factor:.3g} "
-                         f"{parameter.unit} is usual")
+            words.append(
+                f"{parameter.name} = {value / factor:.3g} {parameter.unit} is implausible: up to {high / factor:.3g} "
+                f"{parameter.unit} is usual"
+            )
     return "; ".join(words)
 
 
-def _sentence(verdict: str, effects: Sequence[NamedEffect], rows: Sequence[int], structure: Sequence[Place],
-              noise: Sequence[NoiseTest], rms: tuple[float, float]) -> str:
+def _sentence(
+    verdict: str,
+    effects: Sequence[NamedEffect],
+    rows: Sequence[int],
+    structure: Sequence[Place],
+    noise: Sequence[NoiseTest],
+    rms: tuple[float, float],
+) -> str:
     if verdict == "consistent":
         return "Model and stated noise explain the readings."
     if verdict == "outliers":
-        return f"The model holds and the noise is as stated, but {len(rows)} row(s) are blunders: {', '.join(map(str, rows))}."
+        listed = ", ".join(map(str, rows))
+        return f"The model holds and the noise is as stated, but {len(rows)} row(s) are blunders: {listed}."
     if verdict == "noise-misstated":
         kinds = ", ".join(f"{t.what} in {t.where}" for t in noise[:3]) or "more large residuals than normal noise has"
         return f"Nothing systematic is missing, but the noise is not what was stated: {kinds}."
     if verdict == "unknown-structure":
         if structure:
             p = structure[0]
-            return f"There is systematic structure that no known effect explains, most clearly {p.shape} over {p.covariate} in {p.channel}."
+            return (
+                "There is systematic structure that no known effect explains, most clearly "
+                f"{p.shape} over {p.covariate} in {p.channel}."
+            )
         return "There is systematic structure that no sum of up to three known effects explains."
     names = " and ".join(f"{e.name} ({e.channel})" for e in effects)
     also = f" {len(rows)} row(s) are blunders." if rows else ""
-    return f"Missing in the model: {names}; with it the root mean square residual falls from {rms[0]:.3g} to {rms[1]:.3g} u.{also}"
+    return (
+        f"Missing in the model: {names}; with it the root mean square residual falls from {rms[0]:.3g} to "
+        f"{rms[1]:.3g} u.{also}"
+    )

@@ -16,7 +16,8 @@ from calib.unknown import Selection, Unknown
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Root mean square of whitened residuals of rows that took no part in the fit, and how many scalar readings they are."""
+    """Root mean square of whitened residuals of rows that took no part in the fit, and how many scalar readings they
+    are."""
 
     rms: float
     readings: int
@@ -25,8 +26,8 @@ class HeldOut:
 def held_out(problem: Problem, check: Mapping[str, NDArray[np.bool_]], start: Estimate | None = None) -> HeldOut | None:
     """Adjust on the rows that are not checked and judge the rest; None where nothing or everything is checked.
 
-    problem: with all rows; check: {group: (n,) true where a row is held out}. Unknowns that only checked rows see (the pose
-    of a checked position) are adjusted to those rows afterwards, everything else held, and cost a reading each.
+    problem: with all rows; check: {group: (n,) true where a row is held out}. Unknowns that only checked rows see (the
+    pose of a checked position) are adjusted to those rows afterwards, everything else held, and cost a reading each.
     """
     masks = {o.group: check.get(o.group, np.zeros(o.n, bool)) for o in problem.observations if not o.is_prior}
     if not any(m.any() for m in masks.values()) or all(m.all() for m in masks.values()):
@@ -37,7 +38,7 @@ def held_out(problem: Problem, check: Mapping[str, NDArray[np.bool_]], start: Es
     judged = problem.keep(masks).without(*[o.group for o in problem.observations if o.is_prior])
     judged = judged.hold(*judged.unknowns)
     own = [s for s in unseen if s.unknown in judged.unknowns]
-    known = {u: v for u, v in (start.values if start is not None else {}).items()}
+    known = dict(start.values) if start is not None else {}
     known.update(estimate.values)
     values = {u: u.show(known.get(u, u.ambient)) for u in judged.unknowns}
     if own:

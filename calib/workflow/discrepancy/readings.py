@@ -52,6 +52,10 @@ def row_numbers(fit: Linearisation) -> NDArray:
     for group in fit.groups:
         for block in group.whitened:
             alone = not group.is_prior and block.rows.shape[1] == 1
-            numbers.append(np.repeat(group.rows[block.rows[:, 0]] if alone else np.zeros(len(block.rows), dtype=int),
-                                     block.residual.shape[1]))
+            numbers.append(
+                np.repeat(
+                    group.rows[block.rows[:, 0]] if alone else np.zeros(len(block.rows), dtype=int),
+                    block.residual.shape[1],
+                )
+            )
     return np.concatenate(numbers)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from calib.analyse.score import Field, orthonormal
 from calib.blocks import Array
 
-EXPLORE = 0.25        # corrected p-value up to which the search goes on adding, before it drops what is not needed
+EXPLORE = 0.25  # corrected p-value up to which the search goes on adding, before it drops what is not needed
 MOST_EFFECTS = 6
-DRAWS = 400           # simulated residuals from which the number of independent looks is judged
-SCALE_LEVEL = 0.002   # at which the stated noise is given up for the one that is left over
+DRAWS = 400  # simulated residuals from which the number of independent looks is judged
+SCALE_LEVEL = 0.002  # at which the stated noise is given up for the one that is left over
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Shares:
 class Finding:
     """Chosen candidates and blunders with their corrected p-values, and the field that is left.
 
-    effects, blunders: places among the candidates and among the rows; p_effects, p_blunders; scale: variance of the noise
-    that was used, 1 where the stated one holds; left: the field after everything chosen is taken.
+    effects, blunders: places among the candidates and among the rows; p_effects, p_blunders; scale: variance of the
+    noise that was used, 1 where the stated one holds; left: the field after everything chosen is taken.
     """
 
     effects: tuple[int, ...]
@@ -46,6 +46,7 @@ class Finding:
 def tail(drop: float, dof: int, scale: float, left_dof: int) -> float:
     """Probability of a larger drop: chi-squared where the noise is as stated (scale 1), else F."""
     from scipy.special import fdtrc, gammaincc
+
     if dof == 0:
         return 1.0
     return float(gammaincc(dof / 2, drop / 2) if scale == 1.0 else fdtrc(dof, max(left_dof, 1), drop / dof / scale))
@@ -59,6 +60,7 @@ def corrected(p: float, looks: float) -> float:
 def noise_scale(field: Field) -> float:
     """Variance of what is left, or 1 where it does not contradict the stated one."""
     from scipy.special import gammainc, gammaincc
+
     if field.dof < 3:
         return 1.0
     upper, lower = gammaincc(field.dof / 2, field.squares / 2), gammainc(field.dof / 2, field.squares / 2)
@@ -68,6 +70,7 @@ def noise_scale(field: Field) -> float:
 def independent_looks(field: Field, seed: int) -> float:
     """Number of independent candidates that would be as often the best by chance as these dependent ones."""
     from scipy.special import gammaincc
+
     frames = [f for f in field.frames if f.shape[1]]
     if not frames:
         return 1.0
@@ -104,15 +107,26 @@ class _Model:
     def cost(self, effects: Sequence[int], blunders: Sequence[int], scale: float) -> float:
         """Sum of squares in units of the noise, plus what every choice among so many costs."""
         squares, taken = self.squares(effects, blunders)
-        return squares / scale + taken + 2 * len(effects) * np.log(self.looks + 1) + 2 * len(blunders) * np.log(len(self.readings))
+        return (
+            squares / scale
+            + taken
+            + 2 * len(effects) * np.log(self.looks + 1)
+            + 2 * len(blunders) * np.log(len(self.readings))
+        )
 
 
-def search(field: Field, readings: NDArray[np.int64], level: float, seed: int, shares: Shares | None = None,
-           most_blunders: int | None = None) -> Finding:
+def search(
+    field: Field,
+    readings: NDArray[np.int64],
+    level: float,
+    seed: int,
+    shares: Shares | None = None,
+    most_blunders: int | None = None,
+) -> Finding:
     """Find effects and blunders by forward steps, exchanges and backward elimination.
 
-    field: residuals with the signals of all candidates; readings: places of the rows that may be blunders; level: overall
-    probability of a false alarm; seed: of the simulated looks; shares: of the level; most_blunders: at most.
+    field: residuals with the signals of all candidates; readings: places of the rows that may be blunders; level:
+    overall probability of a false alarm; seed: of the simulated looks; shares: of the level; most_blunders: at most.
     """
     shares = shares or Shares()
     looks = independent_looks(field, seed)
@@ -171,7 +185,7 @@ def _exchange(model: _Model, effects: list[int], blunders: list[int], scale: flo
     for _ in range(12):
         trials: list[list[int]] = []
         for out in range(len(effects)):
-            rest = effects[:out] + effects[out + 1:]
+            rest = effects[:out] + effects[out + 1 :]
             trials.append(rest)
             trials += [[*rest, new] for new in visible if new not in effects]
         for first in range(len(effects)):
@@ -202,13 +216,15 @@ def _backward(model: _Model, effects: list[int], blunders: list[int], level: flo
             p_effects.append(corrected(tail(squares - everything, taken - fewer, scale, left.dof), model.looks))
         for b in blunders:
             squares, fewer = model.squares(effects, [x for x in blunders if x != b])
-            p_blunders.append(corrected(tail(squares - everything, taken - fewer, scale, left.dof), len(model.readings)))
+            p_blunders.append(
+                corrected(tail(squares - everything, taken - fewer, scale, left.dof), len(model.readings))
+            )
         excess = [p / (level * shares.effects) for p in p_effects] + [p / (level * shares.blunders) for p in p_blunders]
         if not excess or max(excess) <= 1.0:
             return Finding(tuple(effects), tuple(blunders), tuple(p_effects), tuple(p_blunders), scale, left)
         worst = int(np.argmax(excess))
         if worst < len(effects):
-            effects = effects[:worst] + effects[worst + 1:]
+            effects = effects[:worst] + effects[worst + 1 :]
         else:
             worst -= len(effects)
-            blunders = blunders[:worst] + blunders[worst + 1:]
+            blunders = blunders[:worst] + blunders[worst + 1 :]

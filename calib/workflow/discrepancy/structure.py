@@ -1,4 +1,5 @@
-"""Descriptions of structure that no effect explains: harmonics of angles, smooth functions, levels of what has few values."""
+"""Descriptions of structure that no effect explains: harmonics of angles, smooth functions, levels of what has few
+values."""
 
 from __future__ import annotations
 
@@ -12,9 +13,9 @@ from calib.blocks import Array
 from calib.workflow.discrepancy.readings import Channel
 
 HARMONICS = (1, 2, 3, 4, 5, 6)
-DEGREES = 5           # of the polynomials over one covariate
-FEW = 12              # different values up to which a covariate is taken level by level
-SPLIT_BY = 6          # different keys up to which a channel is also looked at key by key
+DEGREES = 5  # of the polynomials over one covariate
+FEW = 12  # different values up to which a covariate is taken level by level
+SPLIT_BY = 6  # different keys up to which a channel is also looked at key by key
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,10 @@ def patterns(channels: Sequence[Channel], n: int) -> list[Pattern]:
     for channel in channels:
         for name, inside in _parts(channel):
             for covariate, values in channel.covariates.items():
-                found += [Pattern(name, covariate, kind, _place(columns, channel.places[inside], n))
-                          for kind, columns in _shapes(values[inside], channel.units.get(covariate, "1"))]
+                found += [
+                    Pattern(name, covariate, kind, _place(columns, channel.places[inside], n))
+                    for kind, columns in _shapes(values[inside], channel.units.get(covariate, "1"))
+                ]
     return found
 
 
@@ -56,21 +59,21 @@ def _shapes(values: NDArray, unit: str) -> Iterator[tuple[str, Array]]:
             yield "level", np.stack([values == v for v in different], axis=1).astype(float)
         return
     numbers = values.astype(float)
-    different = np.unique(numbers)
-    if len(different) < 2:
+    levels = np.unique(numbers)
+    if len(levels) < 2:
         return
     if unit in ("rad", "deg"):
         for order in HARMONICS:
-            if len(different) > 2 * order:
+            if len(levels) > 2 * order:
                 yield f"harmonic {order}", np.stack([np.cos(order * numbers), np.sin(order * numbers)], axis=1)
-    if len(different) <= FEW:
-        yield "level", (numbers[:, None] == different).astype(float)
+    if len(levels) <= FEW:
+        yield "level", (numbers[:, None] == levels).astype(float)
         return
-    scaled = 2 * (numbers - different[0]) / (different[-1] - different[0]) - 1
+    scaled = 2 * (numbers - levels[0]) / (levels[-1] - levels[0]) - 1
     yield "smooth", np.polynomial.legendre.legvander(scaled, DEGREES)[:, 1:]
     yield "trend", scaled[:, None]
-    yield "curve", (scaled ** 2)[:, None]
-    edges = np.linspace(different[0], different[-1], 9)[1:-1]
+    yield "curve", (scaled**2)[:, None]
+    edges = np.linspace(levels[0], levels[-1], 9)[1:-1]
     yield "pieces", (np.digitize(numbers, edges)[:, None] == np.arange(8)).astype(float)
 
 
