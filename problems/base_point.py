@@ -295,8 +295,7 @@ def from_job(job: Job) -> Problem:
     lines, tracker, options = base_point_lines.of_job(job), job.instrument("lines"), job.options
     tracker.text("kind", "tracking_interferometer", ("tracking_interferometer",))
     sense = COUNTS[tracker.text("counts", among=tuple(COUNTS))]
-    zero_point = tuple(options.quantity("start_point", "length", (0.0, 0.0, 0.0)))
-    zeros = {"free": FreeStart(zero_point), "tied": TiedStart(zero_point), "absolute": AbsoluteRange()}
+    zeros = _zeros(job)
     choices = {"exact": ExactCoordinates(), "projected": ProjectedCoordinates(), "adjusted": AdjustedCoordinates()}
     choice = options.text("coordinates", "exact", tuple(choices))
     if choice != "exact" and not np.all(lines.u_coordinate > 0):
@@ -306,6 +305,14 @@ def from_job(job: Job) -> Problem:
                       options.quantity("base_point", "length", None))
     middle, half = (lines.points.max(axis=0) + lines.points.min(axis=0)) / 2, np.ptp(lines.points, axis=0) / 2
     return with_recorded_effects(problem, lines, middle, np.where(half > 0, half, 1.0))
+
+
+def _zeros(job: Job) -> dict[str, Zero]:
+    """What the option start_reading can say; without start_point a tied start was zeroed at the origin."""
+    known = job.options.quantity("start_point", "length", None)
+    zero_point = None if known is None else tuple(float(c) for c in known)
+    return {"free": FreeStart(zero_point), "tied": TiedStart(zero_point or (0.0, 0.0, 0.0)),
+            "absolute": AbsoluteRange()}
 
 
 def formulations(job: Job) -> dict[str, Problem]:
@@ -320,9 +327,8 @@ def formulations(job: Job) -> dict[str, Problem]:
         lines, sense = base_point_lines.of_case(job), LENGTHENING
     else:
         lines, sense = base_point_lines.of_job(job), COUNTS[job.instrument("lines").text("counts", among=tuple(COUNTS))]
-        zero_point = tuple(job.options.quantity("start_point", "length", (0.0, 0.0, 0.0)))
-        found = {"start free": declare(lines, FreeStart(zero_point), sense=sense),
-                 "start tied": declare(lines, TiedStart(zero_point), sense=sense)}
+        found = {f"start {name}": declare(lines, zero, sense=sense) for name, zero in _zeros(job).items()
+                 if name != "absolute"}
     if len(np.unique(lines.tracker)) == len(np.unique(lines.zeroing)) == 1:
         found["difference of squares"] = linear(lines, sense, problem)
     return found

@@ -363,6 +363,28 @@ def test_bad_input_is_named(tmp_path, old, new, message):
         base_point.from_job(job_in(tmp_path, replace={old: new}))
 
 
+def test_a_job_of_two_trackers_with_absolute_ranges_and_all_columns(tmp_path):
+    points, _ = box(n=6)
+    bases = {"A": BASE, "B": np.array([0.9, -0.4, -0.5])}
+    names = np.repeat(["x", "y", "z"], 6)
+    rows = [f"{1 + 18 * k + i},{name},{names[i]},{1 + i // 6},1,{i},20.5," + ",".join(f"{c / mm:.5f}" for c in point)
+            + f",{np.linalg.norm(point - base) / mm:.5f}"
+            for k, (name, base) in enumerate(bases.items()) for i, point in enumerate(points)]
+    header = "row,tracker,line,block,direction,time_min,temperature_C,x_mm,y_mm,z_mm,d_mm"
+    (tmp_path / "lines.csv").write_text("\n".join([header, *rows, ""]), encoding="utf-8")
+    (tmp_path / "job.toml").write_text(base_point.EXAMPLE_JOB.replace('"shortening"', '"lengthening"').replace(
+        '"free"\nstart_point_mm = [0.0, 0.0, 0.0]', '"absolute"'), encoding="utf-8")
+    job = Job.read(tmp_path / "job.toml")
+    problem = base_point.from_job(job)
+    estimate = calib.solve(problem)
+    job.refuse_unknown_keys()
+    assert estimate["base_point"] == pytest.approx(np.array(list(bases.values())), abs=0.1 * um)
+    assert np.all(estimate["dead_path"] == 0.0) and estimate.dof == 36 - 6
+    labels = {effect.label for effect in problem.effects}
+    assert {"drift (d)", "thermal (d)", "step (d@2)", "hysteresis (x)", "squareness (xy)"} <= labels
+    assert "pitch_abbe (x)" not in labels                        # the Abbe offsets were not recorded
+
+
 def test_the_formulations_of_a_job_agree_where_they_say_the_same(tmp_path):
     found = base_point.formulations(job_in(tmp_path))
     free, tied, squares = (calib.solve(found[name]) for name in ("start free", "start tied", "difference of squares"))
@@ -494,3 +516,25 @@ def test_the_digit_repairs_move_the_base_point_by_tens_of_micrometres():
     assert PUBLISHED["base_x"].more["value_as_printed"] == pytest.approx(-203.8702, abs=0.0001)
     assert PUBLISHED["base_z"].more["value_as_printed"] == pytest.approx(-228.9151, abs=0.0001)
     assert FREE["base_point"] - TIED["base_point"] == pytest.approx(np.array([-32, 50, -91]) * um, abs=0.6 * um)
+
+
+def test_the_printed_decimals_are_beyond_what_the_readings_carry():
+    u = calib.covariance(calib.linearise(TIED), "base_point").u
+    assert u / um == pytest.approx([5.4, 11.3, 33.2], abs=0.05)
+    assert PUBLISHED.studies["lag_one_correlation_of_joint_residuals"] == pytest.approx(0.44, abs=0.005)
+
+
+def test_the_digit_repairs_are_where_the_printed_residuals_do_not_fit():
+    table = shipped("base_point/table2_experiment.csv")
+    residuals, row = TIED.residuals["tracker"][:, 0], table.whole("i")
+    repaired, shift = table.text("repaired"), table.number("d_printed", "length") - table.number("d", "length")
+    misfit = residuals + shift - table.number("delta_printed", "length")      # a longer d is a larger residual
+    found = {int(row[k]): abs(misfit[k]) / um for k in np.flatnonzero(np.abs(misfit) > 0.06 * um)}
+    assert sorted(found) == row[repaired != "no"].tolist() == [5, 14, 19, 25]
+    assert [found[k] for k in (14, 25, 5, 19)] == pytest.approx([0.8, 2.7, 0.32, 0.85], abs=0.05)
+
+
+def test_the_coordinate_across_the_line_gains_little_from_symmetry():
+    rows = {(r["layout"], r["start"]): r["u_y_um"] for r in PUBLISHED.studies["layouts"]}
+    tied = [rows[name, "tied to the zero point"] for name in ("sym", "half")]
+    assert tied == pytest.approx([1.57, 2.72], abs=0.005) and tied[1] / tied[0] == pytest.approx(1.73, abs=0.005)
