@@ -178,8 +178,8 @@ def from_job(job: Job) -> Problem:
     """Positioning of a rotary table from a job.
 
     Table `readings`: command, measured (angles, not reduced modulo a turn), optionally time, direction, block. Its
-    instrument: u. Options: figures = true for the figures of ISO 230-2 of two-way data (column direction needed);
-    harmonics = [3, 4], further orders offered as effects.
+    instrument: u. Options: figures = true for the figures of ISO 230-2 of two-way data (column direction needed; u is
+    then the repeatability); harmonics = [3, 4], further orders offered as effects.
     """
     table, instrument = job.table("readings"), job.instrument("readings")
     command, measured = table.number("command", "angle"), table.number("measured", "angle")
@@ -215,6 +215,6 @@ def example_job(seed: int) -> dict[str, str]:
     return {
         "job.toml": 'problem = "problems.positioning"\n\n[data.readings]\nfile = "readings.csv"\n'
                     'instrument = "table"\n\n[instruments.table]\nu = "0.5 arcsec"\n\n[options]\nfigures = true\n\n'
-                    '[report]\nquantities = ["E", "M", "B"]\n',
+                    '[report]\nquantities = ["A", "E", "M", "R", "B"]\n',
         "readings.csv": f"# source: simulated, seed {seed}\ncommand_deg,measured_deg,time_min,direction,block\n"
                         + "\n".join(lines) + "\n"}

@@ -1,7 +1,7 @@
 """Two-way positioning of a rotary table by ISO 230-2: the figures A, E, M, R and B with their uncertainty.
 
-A deviation is the angle read less the angle commanded. The systematic figures are functions of the mean deviation at
-each position and direction and come from a declared problem; those of the scatter come from the runs themselves.
+A deviation is the angle read less the angle commanded. Every position and direction of approach has a mean deviation
+and a spread; the figures are functions of these, so their uncertainty and correlation follow.
 Source: ISO 230-2:2014, Determination of accuracy and repeatability of positioning of numerically controlled axes.
 """
 
@@ -14,57 +14,63 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib import Gaussian, Observations, Problem, Quantity, Unknown
+from calib import Observations, Problem, Quantity, Unknown, prior
 from calib.errors import InputError
 
 Array = NDArray[np.float64]
 
 
+# --- the figures, for m positions: first m approached upwards, then m downwards ------------------------------------
+
+
 def deviation_of_cell(cell: Any, mean: Any) -> Any:
-    """The deviation [rad] of one position and direction; cell: (k,) one at its place, else zero; mean: (k,) [rad]."""
+    """The deviation [rad] of one position and direction; cell: (2m,) one at its place, else zero; mean: (2m,) [rad]."""
     return ca.dot(cell, mean)
 
 
-def declare(command: ArrayLike, measured: ArrayLike, direction: ArrayLike, u: ArrayLike | Gaussian,
-            rows: ArrayLike | None = None) -> Problem:
-    """Two-way readings: a mean deviation for every position and direction, and the systematic figures of ISO 230-2.
-
-    command, measured: (n,) [rad]; direction: (n,), +1 or -1; u: standard uncertainty of a reading [rad] or Gaussian.
-    Quantities E, M, B and the reversal of each position; those of the scatter, A and R, are in `figures`.
-    Source: ISO 230-2:2014, clause 3.
-    """
-    data = sort(command, measured, direction)
-    m, positions = len(data.position), [f"{np.degrees(p):.6g}" for p in data.position]
-    mean = Unknown("mean", data.mean.T.ravel(), unit="arcsec",
-                   parts=[f"{p} {way}" for way in ("up", "down") for p in positions])
-    place = np.searchsorted(data.position, np.asarray(command, float)) + m * (np.asarray(direction, float) < 0.0)
-    seen = Observations(deviation_of_cell, np.eye(2 * m)[place], mean, group="table", unit="arcsec", u=u, rows=rows,
-                        readings=np.asarray(measured, float) - np.asarray(command, float), components=("deviation",))
-    quantities = [
-        Quantity("E", lambda mean: ca.mmax(mean) - ca.mmin(mean), mean, unit="arcsec"),
-        Quantity("M", lambda mean: (ca.mmax(mean[:m] + mean[m:]) - ca.mmin(mean[:m] + mean[m:])) / 2.0, mean,
-                 unit="arcsec"),
-        Quantity("B", lambda mean: ca.mmax(ca.fabs(mean[:m] - mean[m:])), mean, unit="arcsec"),
-        Quantity("reversal", lambda mean: mean[:m] - mean[m:], mean, unit="arcsec", parts=positions)]
-    return Problem([seen], quantities=quantities, name="two-way positioning by ISO 230-2")
+def reversal(mean: Any) -> Any:
+    """Reversal value B_i of each position (m,) [rad]: mean (2m,) upwards less downwards."""
+    half = mean.shape[0] // 2
+    return mean[:half] - mean[half:]
 
 
-@dataclass(frozen=True)
-class Figure:
-    """One figure of ISO 230-2: value and standard uncertainty [rad]; `at` says which positions decide it."""
+def largest_reversal(mean: Any) -> Any:
+    """Reversal value B [rad] of the axis: the largest magnitude."""
+    return ca.mmax(ca.fabs(reversal(mean)))
 
-    name: str
-    value: float
-    u: float
-    at: str
+
+def mean_range(mean: Any) -> Any:
+    """Range M [rad] of the mean two-way deviations."""
+    half = mean.shape[0] // 2
+    middle = (mean[:half] + mean[half:]) / 2.0
+    return ca.mmax(middle) - ca.mmin(middle)
+
+
+def systematic_deviation(mean: Any) -> Any:
+    """Two-way systematic deviation E [rad]: the range of all means."""
+    return ca.mmax(mean) - ca.mmin(mean)
+
+
+def accuracy(mean: Any, spread: Any) -> Any:
+    """Two-way accuracy A [rad]: from the lowest mean less two spreads to the highest mean plus two spreads."""
+    return ca.mmax(mean + 2.0 * spread) - ca.mmin(mean - 2.0 * spread)
+
+
+def repeatability(mean: Any, spread: Any) -> Any:
+    """Two-way repeatability R [rad]: the largest of 4 s of one direction, and of 2 s of both and the reversal."""
+    half = mean.shape[0] // 2
+    both = 2.0 * (spread[:half] + spread[half:]) + ca.fabs(reversal(mean))
+    return ca.fmax(ca.mmax(both), ca.mmax(4.0 * spread))
+
+
+# --- the declaration ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class TwoWay:
-    """Deviations sorted by position and direction, with their statistics [rad].
+    """Runs sorted by position and direction: position (m,) [rad], mean and spread (m, 2) [rad] upwards and downwards.
 
-    position: (m,); mean, spread: (m, 2), mean deviation and sample standard deviation approached upwards and downwards.
-    runs: number of runs n in each direction.
+    runs: number of runs n in each direction; spread: sample standard deviation over them.
     """
 
     position: Array
@@ -72,23 +78,12 @@ class TwoWay:
     spread: Array
     runs: int
 
-    @property
-    def reversal(self) -> Array:
-        """Reversal value B_i of each position (m,): upwards less downwards."""
-        return self.mean[:, 0] - self.mean[:, 1]
 
-    @property
-    def repeatability(self) -> Array:
-        """Two-way repeatability R_i of each position (m,)."""
-        return np.max([2.0 * self.spread.sum(axis=1) + np.abs(self.reversal), *(4.0 * self.spread.T)], axis=0)
-
-
-def sort(command: ArrayLike, measured: ArrayLike, direction: ArrayLike) -> TwoWay:
-    """Sort two-way readings by position and direction.
+def start(command: ArrayLike, measured: ArrayLike, direction: ArrayLike) -> TwoWay:
+    """Means and spreads of two-way readings.
 
     command, measured: (n,) [rad]; direction: (n,), +1 or -1.
-    Raises InputError where a position lacks a direction or the numbers of runs differ or are below two.
-    Source: ISO 230-2:2014, clause 3.
+    Raises InputError where a position lacks a direction, or the numbers of runs differ or are below two.
     """
     command, direction = np.asarray(command, float), np.asarray(direction, float)
     deviation = np.asarray(measured, float) - command
@@ -104,34 +99,28 @@ def sort(command: ArrayLike, measured: ArrayLike, direction: ArrayLike) -> TwoWa
                   np.array([[c.std(ddof=1) for c in row] for row in cells]), int(counts.max()))
 
 
-def figures(data: TwoWay) -> tuple[Figure, ...]:
-    """The figures A, E, M, R, B of two-way data, with the u that the scatter of the runs gives them [rad].
+def declare(command: ArrayLike, measured: ArrayLike, direction: ArrayLike, u: float,
+            rows: ArrayLike | None = None) -> Problem:
+    """Two-way readings with the quantities A, E, M, R, B and `reversal` of each position.
 
-    The u belongs to the positions that decided the figure; that these were chosen because they are extreme makes the
-    figure itself too large on average. Source: ISO 230-2:2014, clause 3; u of a spread: s/sqrt(2(n - 1)).
+    command, measured: (n,) [rad]; direction: (n,), +1 or -1; u: standard uncertainty of one reading, that is its
+    repeatability [rad]; rows: (n,) row numbers of the file. The spread of n runs is known to u/sqrt(2(n - 1)) and, for
+    Gaussian readings, independent of their mean. That the deciding positions were chosen because they are extreme
+    makes the figures too large on average; `montecarlo` shows by how much.
     """
-    mean, spread, n = data.mean, data.spread, data.runs
-    u_mean, u_spread = spread / np.sqrt(n), spread / np.sqrt(2.0 * (n - 1))
-    reversal, centre = np.abs(data.reversal), mean.mean(axis=1)
-    u_reversal = np.hypot(*u_mean.T)
-    upper, lower = mean + 2.0 * spread, mean - 2.0 * spread
-    u_limit = np.hypot(u_mean, 2.0 * u_spread)
-    b = int(np.argmax(reversal))
-    r = int(np.argmax(data.repeatability))
-    u_both = np.hypot(u_reversal[r], 2.0 * np.hypot(*u_spread[r]))
-    one_way = 4.0 * spread[r].max() >= 2.0 * spread[r].sum() + reversal[r]
-    return (_range("A", upper, lower, u_limit, data), _range("E", mean, mean, u_mean, data),
-            _range("M", centre[:, None], centre[:, None], u_reversal[:, None] / 2.0, data),
-            Figure("R", float(data.repeatability[r]), float(4.0 * u_spread[r].max() if one_way else u_both),
-                   _place(data, r)),
-            Figure("B", float(reversal[b]), float(u_reversal[b]), _place(data, b)))
-
-
-def _range(name: str, high: Array, low: Array, u: Array, data: TwoWay) -> Figure:
-    top, bottom = np.unravel_index(np.argmax(high), high.shape), np.unravel_index(np.argmin(low), low.shape)
-    return Figure(name, float(high[top] - low[bottom]), float(np.hypot(u[top], u[bottom])),
-                  f"{_place(data, top[0])} and {_place(data, bottom[0])}")
-
-
-def _place(data: TwoWay, i: int) -> str:
-    return f"{np.degrees(data.position[i]):g} deg"
+    data = start(command, measured, direction)
+    m, positions = len(data.position), [f"{np.degrees(p):.6g}" for p in data.position]
+    parts = [f"{p} {way}" for way in ("up", "down") for p in positions]
+    mean = Unknown("mean", data.mean.T.ravel(), unit="arcsec", parts=parts)
+    spread = Unknown("spread", data.spread.T.ravel(), unit="arcsec", parts=parts)
+    place = np.searchsorted(data.position, np.asarray(command, float)) + m * (np.asarray(direction, float) < 0.0)
+    seen = Observations(deviation_of_cell, np.eye(2 * m)[place], mean, group="table", unit="arcsec", u=u, rows=rows,
+                        readings=np.asarray(measured, float) - np.asarray(command, float), components=("deviation",))
+    scatter = prior(spread, data.spread.T.ravel(), u / np.sqrt(2.0 * (data.runs - 1)), name="spread of the runs")
+    quantities = [Quantity("A", accuracy, mean, spread, unit="arcsec"),
+                  Quantity("E", systematic_deviation, mean, unit="arcsec"),
+                  Quantity("M", mean_range, mean, unit="arcsec"),
+                  Quantity("R", repeatability, mean, spread, unit="arcsec"),
+                  Quantity("B", largest_reversal, mean, unit="arcsec"),
+                  Quantity("reversal", reversal, mean, unit="arcsec", parts=positions)]
+    return Problem([seen, scatter], quantities=quantities, name="two-way positioning by ISO 230-2")
