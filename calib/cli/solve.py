@@ -88,7 +88,8 @@ def say(output: Output, solution: Solution) -> None:
     for exclusion in solution.job.exclude:
         rows = ", ".join(map(str, exclusion.rows))
         output.prose(f"Left out, table {exclusion.table}, row {rows}: {exclusion.reason}")
-    for heading, lines in (("To adjust:", solution.advice), ("Cannot be known:", solution.remarks)):
+    limits = (*solution.remarks, *solution.weak)
+    for heading, lines in (("To adjust:", solution.advice), ("Cannot be known, or hardly:", limits)):
         if lines:
             output.say(f"\n{heading}")
             for sentence in lines:

@@ -56,7 +56,7 @@ def html(solution: Solution, provenance: Provenance) -> str:
         excluded=[f"Table {one.table}, row {', '.join(map(str, one.rows))}: {one.reason}" for one in job.exclude],
         including=_including(solution),
         including_refused=solution.including_refused,
-        limits=[*solution.estimability.directions, *solution.remarks, *_unchecked(solution)],
+        limits=[*solution.estimability.directions, *solution.remarks, *solution.weak, *_unchecked(solution)],
         residual_groups=list(_residual_groups(solution)),
         suspects=_suspects(solution),
         level=numbers.plain(solution.reliability.level),

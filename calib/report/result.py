@@ -46,7 +46,7 @@ def content(solution: Solution, provenance: Provenance) -> dict[str, Any]:
         "budgets": [_budget(one) for one in solution.budgets],
         "tolerances": [_conformity(one) for one in solution.conformities],
         "excluded": _excluded(solution),
-        "remarks": list(solution.remarks),
+        "remarks": [*solution.remarks, *solution.weak],
         "advice": list(solution.advice),
         "certificate_data": dict(_dated(solution)),
         "provenance": provenance.content(),

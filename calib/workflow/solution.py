@@ -26,6 +26,7 @@ from calib.workflow.conformity import Conformity, judge
 from calib.workflow.knowledge import named, with_priors
 
 BUDGETS = 40     # results up to which a budget is split; beyond that a table of budgets is read by nobody
+INSEPARABLE = 0.999      # correlation of two unknowns from which on a report speaks of it
 REPEATS = 12     # instances up to which an unknown nobody named is reported; foot points and poses are not results
 
 
@@ -43,7 +44,8 @@ class Solution:
 
     results: the requested quantities with their covariance; results_vc, coverage: the same with estimated variance
     components; u_of: u (SI) of every unknown, (count, freedom), not a number where held; including: the results with
-    the excluded rows back in; remarks, advice: sentences of the problem module: what no reading shows, what to adjust.
+    the excluded rows back in; remarks, advice: sentences of the problem module: what no reading shows, what to adjust;
+    weak: what the readings hardly tell apart.
     """
 
     job: Job
@@ -63,6 +65,7 @@ class Solution:
     including: Covariance | None = None
     including_refused: str = ""
     remarks: tuple[str, ...] = ()
+    weak: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
     named_by_key: tuple[str, ...] = ()
 
@@ -114,6 +117,7 @@ def solved(job: Job, module: ModuleType, method: Method) -> Solution:
         including=including,
         including_refused=why,
         remarks=tuple(module.remarks(job)) if hasattr(module, "remarks") else (),
+        weak=_weak(problem, results),
         advice=tuple(module.advice(fit)) if hasattr(module, "advice") else (),
         named_by_key=tuple(getattr(module, "named_by_key", ())),
     )
@@ -137,6 +141,18 @@ def _components(fit: Linearisation) -> tuple[VarianceComponents | None, str]:
         return variance_components(fit), ""
     except CalibrationError as error:
         return None, str(error)
+
+
+def _weak(problem: Problem, results: Covariance) -> tuple[str, ...]:
+    """Pairs of unknowns that the readings hardly tell apart, as sentences; derived results follow others by nature."""
+    labels = {label for unknown in problem.unknowns for label in unknown.labels}
+    own = [i for i, name in enumerate(results.names) if name in labels]
+    correlation = np.abs(results.correlation[np.ix_(own, own)])
+    pairs = np.argwhere(np.triu(correlation, 1) > INSEPARABLE)
+    return tuple(
+        f"The readings hardly tell {results.names[own[i]]} from {results.names[own[j]]} (correlation of size "
+        f"{correlation[i, j]:.5f}): readings over a wider range, or a prior on one of them, would."
+        for i, j in pairs[:5])
 
 
 def _budgets(fit: Linearisation, wanted: Sequence[Any]) -> tuple[Budget, ...]:
