@@ -1,9 +1,4 @@
-"""Jobs of the locator problem: a case folder of scenario `locator_pose`, or a TOML job with the same tables.
-
-The table `measurements` has the columns pose, kind ("axis" or "target"), item, v1_mm, v2_mm, v3_mm and, where recorded,
-time_min, temp_C, block, dir1, dir2, dir3 and split; an axis row holds the readings of one locator, a target row
-coordinates in the frame of the tracker.
-"""
+"""Jobs of the locator problem: a case folder of scenario `locator_pose`, or a TOML job with the same tables."""
 
 from __future__ import annotations
 
@@ -20,39 +15,37 @@ from instruments import laser_tracker
 from problems.locators.errors import AXES, Frames
 from problems.locators.identification import Knowledge, with_error_functions, with_knowledge
 from problems.locators.measured import Locator, Readings, Setup, declare
+from problems.locators.paper import DRIVEN
 from problems.locators.pose_error import COMPONENT_UNITS, position_and_angles
 
 SCENARIO = "locator_pose"
 KINDS = ("axis", "target")
 POSE_PARTS = ("x", "y", "z", "alpha", "beta", "gamma")
 
+columns = {"measurements": {
+    "pose": "number of the pose", "kind": "axis or target", "item": "key of the locator or the target",
+    "v1, v2, v3": "axis: readings x, y, z of the locator; target: coordinates in the frame of the tracker",
+    "time, temp, block": "when, in which temperature and after which set-up of the tracker (optional)",
+    "dir1, dir2, dir3": "axis: +1 or -1, the direction each axis was approached from (optional)",
+    "split": "fit or check (optional)"}}
+options = {
+    "free": "list of named effects to estimate, as `calib effects` lists them",
+    "errors": "named (default), or functions: all 21 errors of every locator as functions of the travel",
+    "prior_length, prior_angle, prior_squareness": "known beforehand of these functions (20 um, 8, 20 arcsec)",
+    "[known]": "locators (id, base, ball_in_part), targets (id, in_part), abbe_height, reach_at_zero, "
+               "axis_half_range_mm (x, y, z), reference_temperature_C, axes_read (list by locator; else all three)"}
+
 
 def from_job(job: Job) -> Problem:
     """The declared problem of a job: poses and tracker frame unknown, every named effect held; result: every `pose`.
 
-    job: with the table `measurements`, [instruments.locator], [known], where there are targets [instruments.tracker].
-    [options] free = ["squareness (A.xy)"] frees named effects (those that `calib effects` lists);
-    errors = "functions" frees all 21 errors of every locator as functions of the travel, with prior_length,
-    prior_angle and prior_squareness as their standard uncertainties beforehand ("named", the default: nothing is free).
+    job: tables and options as in `columns` and `options`, [instruments.locator] sigma_axis and, with targets,
+    [instruments.tracker] sigma_range, sigma_azimuth, sigma_zenith.
     Raises InputError for an unknown kind of row, locator or target, and for what is missing.
     """
-    table = job.table("measurements")
-    setup = setup_of(job)
-    axes, targets = readings_of_kind(table, "axis", job), readings_of_kind(table, "target", job)
-    if not len(axes.rows):
-        raise InputError(f"{table.path}: no row of kind 'axis'; the readings of the locators are missing. Add them.")
-    u_axis = job.instruments.table("locator").quantity("sigma_axis", "length")
-    if not len(targets.rows):
-        problem = declare(setup, axes, None, u_axis=u_axis)
-    else:
-        tracker = job.instruments.table("tracker")
-        u_tracker = [tracker.quantity(f"sigma_{name}", kind) for name, kind in
-                     (("range", "length"), ("azimuth", "angle"), ("zenith", "angle"))]
-        problem = declare(setup, axes, targets, u_axis=u_axis, u_tracker=u_tracker)
+    problem = _declared(job, setup_of(job), with_tracker=True)
     if job.problem != SCENARIO:         # a case is solved a thousand times and asks for no pose
-        part = next(unknown for unknown in problem.unknowns if unknown.name == "part")
-        problem = problem.with_quantities(
-            Quantity("pose", position_and_angles, part.each, unit=COMPONENT_UNITS, parts=POSE_PARTS, keys=part.keys))
+        problem = _with_poses(problem)
     problem = problem.free(*job.options.texts("free", ()))
     if job.options.text("errors", "named", ("named", "functions")) == "named":
         return problem
@@ -61,6 +54,47 @@ def from_job(job: Job) -> Problem:
         job.options.quantity("prior_length", "length", usual.length),
         job.options.quantity("prior_angle", "angle", usual.angle),
         job.options.quantity("prior_squareness", "angle", usual.squareness)))
+
+
+def formulations(job: Job) -> dict[str, Problem]:
+    """The same poses from all readings, from six axes and the tracker as in the paper, and from the axes alone."""
+    setup = setup_of(job)
+    found = {"all readings": from_job(job)}
+    if {locator.key for locator in setup.locators} == set(DRIVEN):
+        six = replace(setup, axes=DRIVEN)
+        found["six axes and tracker"] = _with_poses(_declared(job, six, with_tracker=True))
+        found["six axes alone"] = _with_poses(_declared(job, six, with_tracker=False))
+    found["axes alone"] = _with_poses(_declared(job, setup, with_tracker=False))
+    return found
+
+
+def remarks(job: Job) -> tuple[str, ...]:
+    """What the readings cannot tell: sentences."""
+    if any(kind == "target" for kind in job.table("measurements").text("kind")):
+        return ("Where the hall frame lies: an offset that all locators share along one axis, and every offset along "
+                "z, "
+                "is taken for a place or a tilt of the tracker.",)
+    return ("What all locators do alike: without a tracker the axes see only in what they disagree.",)
+
+
+def _declared(job: Job, setup: Setup, with_tracker: bool) -> Problem:
+    table = job.table("measurements")
+    axes, targets = readings_of_kind(table, "axis", job), readings_of_kind(table, "target", job)
+    if not len(axes.rows):
+        raise InputError(f"{table.path}: no row of kind 'axis'; the readings of the locators are missing. Add them.")
+    u_axis = job.instruments.table("locator").quantity("sigma_axis", "length")
+    if not with_tracker or not len(targets.rows):
+        return declare(setup, axes, None, u_axis=u_axis)
+    tracker = job.instruments.table("tracker")
+    u_tracker = [tracker.quantity(f"sigma_{name}", kind) for name, kind in
+                 (("range", "length"), ("azimuth", "angle"), ("zenith", "angle"))]
+    return declare(setup, axes, targets, u_axis=u_axis, u_tracker=u_tracker)
+
+
+def _with_poses(problem: Problem) -> Problem:
+    part = next(unknown for unknown in problem.unknowns if unknown.name == "part")
+    return problem.with_quantities(
+        Quantity("pose", position_and_angles, part.each, unit=COMPONENT_UNITS, parts=POSE_PARTS, keys=part.keys))
 
 
 def setup_of(job: Job) -> Setup:
