@@ -46,7 +46,7 @@ def row(command: np.ndarray, radius: float, u: object, trials: int, seed: int) -
     cloud = np.cov(sampled.samples[:, [sampled.names.index(f"centre.{axis}") for axis in "xyz"]].T)
     return {"u_radius_um": calib.covariance(fit, "radius").u[0] / um, "monte_carlo_radius_um": spread["radius"] / um,
             "u_centre_um": worst / um, "monte_carlo_centre_um": np.sqrt(np.linalg.eigvalsh(cloud)[-1]) / um,
-            "u_angle_arcsec": float(np.median(calib.covariance(fit, "angle").u[1:])) / arcsec,
+            "u_angle_arcsec": float(np.median(calib.covariance(fit, "angle").u)) / arcsec,
             "failures": sampled.failures}
 
 

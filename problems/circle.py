@@ -95,7 +95,7 @@ def start(points: ArrayLike, command: ArrayLike | None = None) -> SpaceCircle:
 def declare(points: ArrayLike, u: ArrayLike | Gaussian, command: ArrayLike | None = None,
             begin: SpaceCircle | None = None, rows: ArrayLike | None = None,
             covariates: Mapping[str, Any] | None = None) -> Problem:
-    """A space circle by orthogonal distance; quantity `angle` is the turn from the first point to each point.
+    """A space circle by orthogonal distance; quantity `angle` is the turn from the first point to each other.
 
     points: (n, 3) [m]; u: standard uncertainties [m], a number, (3,) or (n, 3), or Gaussian.matrix of (n, 3, 3) [m^2].
     command: (n,) [rad] commanded angles, where the points do not follow each other by less than half a turn.
@@ -115,7 +115,8 @@ def declare(points: ArrayLike, u: ArrayLike | Gaussian, command: ArrayLike | Non
                             covariates={"position": np.arange(1, n + 1), **(covariates or {})})
     blocks = np.unique(measured.covariates["block"])[1:] if "block" in measured.covariates else ()
     candidates = [e for e in effects(blocks) if set(e.inputs) & {"time", "block"} <= set(measured.covariates)]
-    angle = Quantity("angle", turned, foot.each, foot[np.zeros(n, dtype=int)], unit="deg", keys=range(1, n + 1))
+    angle = Quantity("angle", turned, foot[np.arange(1, n)], foot[np.zeros(n - 1, dtype=int)], unit="deg",
+                     keys=range(2, n + 1))
     return Problem([measured], quantities=[angle], effects=candidates, name="space circle")
 
 

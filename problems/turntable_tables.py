@@ -36,7 +36,9 @@ def tracker_angles(command: Array, radius: float, distance: float = DISTANCE) ->
     polar = laser_tracker.polar_readings(points)
     u = laser_tracker.from_coordinate_statement(fixed * mm, rate * mm, 2.0).at(polar)
     fit = linearise(circle.declare(points, Gaussian.matrix(laser_tracker.cartesian_covariance(polar, u)), command))
-    return covariance(fit, "angle").matrix
+    matrix = np.zeros((len(command), len(command)))
+    matrix[1:, 1:] = covariance(fit, "angle").matrix
+    return matrix
 
 
 # --- table 1: three methods on one table -------------------------------------------------------------------------
