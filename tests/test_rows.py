@@ -83,6 +83,8 @@ def differences(function, inputs, sizes, expected_size):
         before = fine
         better = (error < doubt) & ~(doubt <= SHARP * expected_size)
         best, doubt = np.where(better, np.nan_to_num(fine), best), np.where(better, error, doubt)
+        if np.all((doubt <= SHARP * expected_size) | ((expected_size == 0.0) & (exponent > -4.0))):
+            break
     return best, doubt
 
 
@@ -99,7 +101,7 @@ PLAUSIBLE = {attached.unknown: [p.plausible[1] for p in attached.effect.paramete
              for name in EXAMPLES for attached in example_with_effects(name).attached}
 
 
-def spread_rows(term, most=4):
+def spread_rows(term, most):
     return np.unique(np.linspace(0, term.n - 1, most).round().astype(int))
 
 
@@ -121,7 +123,7 @@ def evaluated(term, expression):
 @pytest.mark.parametrize(("name", "number"), ALL)
 def test_derivatives_are_those_of_finite_differences(name, number):
     term, values = bound_model(name, number)
-    rows = spread_rows(term)
+    rows = spread_rows(term, 3)
     predicted, parts = term.derive(values, held_too=True)
     everywhere = columns_of(parts, term).transpose(2, 1, 0)
     size, scale = np.abs(everywhere).max(axis=(1, 2), keepdims=True), sizes_of(term)
@@ -137,14 +139,13 @@ def test_second_derivatives_are_those_of_finite_differences(name, number):
     term, values = bound_model(name, number)
     if term.traced.affine or not any(term.any_free):
         return
-    rows = spread_rows(term, 2)
     weights = np.cos(np.arange(term.n * term.dim)).reshape(term.n, term.dim)
     _, hessians = term.curvature(values, weights)
     free = ca.vertcat(*[s for s, want in zip(term.traced.symbols.local, term.any_free, strict=True) if want])
     sizes = [np.full(s.shape[0], want) for s, want, known in
              zip(term.traced.symbols.local, term.any_free, term.any_unknown, strict=True) if known]
     chosen = np.concatenate(sizes).astype(bool)
-    for row in rows:
+    for row in spread_rows(term, 3)[1:2]:
         slope = evaluated(term, ca.jacobian(ca.dot(ca.DM(weights[row]), term.traced.prediction), free).T)
 
         def moved(inputs, steps, slope=slope):
