@@ -160,16 +160,16 @@ def declare(lines: Lines, zero: Zero = FreeStart(), coordinates: Coordinates = E
     if isinstance(zero, TiedStart):
         lengths = np.linalg.norm(np.array(zero.zero_point) - base[of_zeroing], axis=1)
     base_point = Unknown("base_point", base if several else base[0], "mm", ("x", "y", "z"),
-                         trackers if several else None)
+                         trackers.tolist() if several else None)
     start_length = Unknown("start_length", lengths[:, None] if len(zeroings) > 1 else lengths[0], "mm",
-                           keys=zeroings if len(zeroings) > 1 else None)
+                           keys=zeroings.tolist() if len(zeroings) > 1 else None)
 
     read = np.einsum("ni,ni->n", lines.along, lines.points)
     guide = lines.points - lines.along * read[:, None]
     observations, adjusted, seat = [], None, np.arange(len(read))
     if isinstance(coordinates, AdjustedCoordinates):
         seatings, first, seat = np.unique(lines.seating, return_index=True, return_inverse=True)
-        adjusted = Unknown("position", read[first][:, None], "mm", keys=seatings)
+        adjusted = Unknown("position", read[first][:, None], "mm", keys=seatings.tolist())
         observations.append(Observations(coordinate, adjusted.each, readings=read[first], u=lines.u_coordinate[first],
                                          group="coordinates", unit="mm", rows=lines.rows[first]))
     for k, name in enumerate(zeroings):
@@ -271,7 +271,7 @@ def effects(blocks: Sequence[int] = (), middle: ArrayLike = (0.0, 0.0, 0.0), hal
 def with_recorded_effects(problem: Problem, lines: Lines, middle: ArrayLike, half_range: ArrayLike,
                           wavelength: float = interferometer.HELIUM_NEON) -> Problem:
     """The problem with every effect whose inputs were recorded, all held at zero; arguments as for `effects`."""
-    blocks = np.unique(lines.covariates["block"])[1:] if "block" in lines.covariates else ()
+    blocks = np.unique(lines.covariates["block"])[1:].tolist() if "block" in lines.covariates else []
     recorded = {*lines.covariates, "velocity", "line"}
     return problem.with_effects(*(e for e in effects(blocks, middle, half_range, wavelength)
                                   if recorded.issuperset(e.inputs)))
@@ -296,7 +296,8 @@ def from_job(job: Job) -> Problem:
     tracker.text("kind", "tracking_interferometer", ("tracking_interferometer",))
     sense = COUNTS[tracker.text("counts", among=tuple(COUNTS))]
     zeros = _zeros(job)
-    choices = {"exact": ExactCoordinates(), "projected": ProjectedCoordinates(), "adjusted": AdjustedCoordinates()}
+    choices: dict[str, Coordinates] = {"exact": ExactCoordinates(),
+                                       "projected": ProjectedCoordinates(), "adjusted": AdjustedCoordinates()}
     choice = options.text("coordinates", "exact", tuple(choices))
     if choice != "exact" and not np.all(lines.u_coordinate > 0):
         raise InputError(f"{options.where('coordinates')}: '{choice}' needs the uncertainty of the coordinates; name "
@@ -310,7 +311,7 @@ def from_job(job: Job) -> Problem:
 def _zeros(job: Job) -> dict[str, Zero]:
     """What the option start_reading can say; without start_point a tied start was zeroed at the origin."""
     known = job.options.quantity("start_point", "length", None)
-    zero_point = None if known is None else tuple(float(c) for c in known)
+    zero_point = None if known is None else (float(known[0]), float(known[1]), float(known[2]))
     return {"free": FreeStart(zero_point), "tied": TiedStart(zero_point or (0.0, 0.0, 0.0)),
             "absolute": AbsoluteRange()}
 
@@ -372,7 +373,7 @@ def example_job(seed: int) -> dict[str, str]:
     run, zero, far = np.linspace(0.05, 0.75, 15), np.zeros(15), np.full(15, 0.75)
     points = np.vstack([np.column_stack((run, zero, zero)), np.column_stack((far, run, zero))])
     plan = declare(Lines(points, None, 0.5 * um), TiedStart(), sense=SHORTENING, begin=(-0.2, 1.4, -0.23))
-    readings = simulate(plan, None, seed).observations[0].readings[:, 0]
+    readings = np.asarray(simulate(plan, None, seed).observations[0].readings, float).ravel()
     rows = [f"{n},{'XY'[n > 15]},{x / mm:.4f},{y / mm:.4f},{z / mm:.4f},{d / mm:.4f}"
             for n, ((x, y, z), d) in enumerate(zip(points, readings, strict=True), start=1)]
     return {"lines.csv": "\n".join(["# source: simulated", "row,line,x_mm,y_mm,z_mm,d_mm", *rows, ""]),

@@ -191,7 +191,7 @@ def from_job(job: Job) -> Problem:
 
     Raises InputError naming the key.
     """
-    zeros = {"known": KNOWN, "free": FREE}
+    zeros: dict[str, base_point.Zero] = {"known": KNOWN, "free": FREE}
     return declare(zeros[job.options.text("start_reading", "known", tuple(zeros))])
 
 

@@ -81,7 +81,7 @@ class Result:
     def coordinate(self, axis: int) -> tuple[float, float, float]:
         """Value, u and u_vc of one coordinate of the base point [mm]."""
         u, u_vc = covariance(self.fit, "base_point").u[axis], covariance(self.rescaled, "base_point").u[axis]
-        return tuple(float(v / mm) for v in (self.estimate["base_point"][axis], u, u_vc))
+        return float(self.estimate["base_point"][axis] / mm), float(u / mm), float(u_vc / mm)
 
 
 def _experiment_items(printed: dict[str, Printed], tied: Result, free: Result, as_printed: Result) -> list[Item]:
@@ -128,7 +128,7 @@ def _experiment_items(printed: dict[str, Printed], tied: Result, free: Result, a
 
 def travel() -> Array:
     """Nominal positions b_i = i 140 mm [m] of the targets of the simulation."""
-    return PITCH * np.arange(1, POINTS + 1)
+    return PITCH * np.arange(1.0, POINTS + 1.0)
 
 
 def layout_targets() -> Array:
@@ -160,7 +160,7 @@ def _simulation_items(printed: dict[str, Printed]) -> list[Item]:
     index, n = np.arange(1, len(b) + 1), len(b)
     pitch, spread = float(index @ b / (index @ index)), float(np.sqrt(np.mean((b - PITCH * index) ** 2)))
     noise = float(np.sqrt(np.mean(e**2)))
-    stated = {key: p.number for key, p in printed.items()}
+    scatter = printed["sim_b_spread"].number or np.nan
     setting = "a setting of the simulation, of which no readings are printed; it enters sigma_x_half and theta_half"
     items = [
         Item("sim_C_sym_x", "base point of the symmetric simulation", "mm", printed["sim_C_sym_x"], value=found[0],
@@ -171,9 +171,9 @@ def _simulation_items(printed: dict[str, Printed]) -> list[Item]:
           for key in ("sim_C_half_x", "sim_C_half_y")),
         Item("sim_n", "number of targets", "1", printed["sim_n"], value=n),
         Item("sim_pitch", "pitch of the targets", "mm", printed["sim_pitch"], value=pitch / mm,
-             sampling=1.96 * stated["sim_b_spread"] / np.sqrt(index @ index), why="slope of column b of table 1"),
+             sampling=1.96 * scatter / np.sqrt(index @ index), why="slope of column b of table 1"),
         Item("sim_b_spread", "scatter of the targets", "mm", printed["sim_b_spread"], value=spread / mm,
-             sampling=1.96 * stated["sim_b_spread"] / np.sqrt(2 * n), why="rms of b - i 140 mm in table 1"),
+             sampling=1.96 * scatter / np.sqrt(2 * n), why="rms of b - i 140 mm in table 1"),
         Item("sim_noise_printed", "standard deviation of the noise", "mm", printed["sim_noise_printed"],
              value=noise / mm, sampling=1.96 * noise / mm / np.sqrt(2 * n),
              why=f"rms of column e of table 1: {noise / um:.2f} um; its sum of squares is "

@@ -131,8 +131,8 @@ def declare(ranges: Ranges, trackers: Mapping[str, ArrayLike], targets: Mapping[
     first = np.array([np.flatnonzero(of_tracker == k)[0] for k in range(len(names))])
     zero = path[first] if ranges.readings is None else np.array(
         [np.mean((path - sense * ranges.readings)[of_tracker == k]) for k in range(len(names))])
-    tracker = Unknown("tracker", np.column_stack([base, zero]), "mm", PARTS, names)
-    target = Unknown("target", place, "mm", ("x", "y", "z"), points)
+    tracker = Unknown("tracker", np.column_stack([base, zero]), "mm", PARTS, names.tolist())
+    target = Unknown("target", place, "mm", ("x", "y", "z"), points.tolist())
     read = _read(ranges, sense, ranged, tracker[of_tracker], target[of_target])
     problem = Problem([read], name="multilateration")
     fixed = np.flatnonzero(np.isin(points, list(known)))
@@ -191,7 +191,7 @@ def measure(calibration: Calibration, ranges: Ranges, targets: Mapping[str, Arra
     _positions(names, dict(zip(calibration.keys, calibration.values, strict=True)), "tracker")
     trackers = Unknown("trackers", calibration.values.ravel(), "mm",
                        [f"{key}.{part}" for key in calibration.keys for part in PARTS])
-    target = Unknown("target", place, "mm", ("x", "y", "z"), points)
+    target = Unknown("target", place, "mm", ("x", "y", "z"), points.tolist())
     column = np.array([calibration.keys.index(name) for name in names.tolist()])
     which = np.eye(len(calibration.keys))[column[of_tracker]]
     read = _read(ranges, sense, ranged_by_one, trackers, which, target[of_target])
@@ -200,7 +200,7 @@ def measure(calibration: Calibration, ranges: Ranges, targets: Mapping[str, Arra
                   Gaussian.matrix(calibration.covariance[np.ix_(uncertain, uncertain)]), "calibration")
     others = np.arange(1, len(points))
     distance = Quantity("distance", between, target[np.zeros(len(others), int)], target[others], unit="mm",
-                        keys=points[others])
+                        keys=points[others].tolist())
     return Problem([read, known], quantities=[distance] if len(others) else [], held=[trackers],
                    name="measured targets")
 
@@ -244,7 +244,7 @@ def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
 
 def with_recorded_effects(problem: Problem, covariates: Mapping[str, Any]) -> Problem:
     """The problem with every effect whose inputs were recorded, all held at zero."""
-    blocks = np.unique(covariates["block"])[1:] if "block" in covariates else ()
+    blocks = np.unique(covariates["block"])[1:].tolist() if "block" in covariates else []
     return problem.with_effects(*(e for e in effects(blocks) if set(e.inputs) <= set(covariates)))
 
 
@@ -315,7 +315,7 @@ def example_job(seed: int) -> dict[str, str]:
     read = truth.observations[0]
     rough = np.random.default_rng(seed).normal(0.0, 1.0 * mm, target.ambient.shape)
     rows = [f"{row},{t},{p},{d / mm:.5f}" for row, t, p, d in
-            zip(read.rows, read.covariates["tracker"], read.covariates["target"], read.readings[:, 0], strict=True)]
+            zip(read.rows, read.covariates["tracker"], read.covariates["target"], np.asarray(read.readings, float).ravel(), strict=True)]
     return {"ranges.csv": "\n".join(["row,tracker,target,d_mm", *rows, ""]), "job.toml": EXAMPLE_JOB,
             "trackers.csv": _table_of("tracker", tracker.keys, tracker.ambient[:, :3]),
             "targets.csv": _table_of("target", target.keys, target.ambient + rough)}
