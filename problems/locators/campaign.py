@@ -103,7 +103,7 @@ def _conditions(setup: Setup, n: int, seed: int, checks: int) -> tuple[Readings,
             kind(names, len(keys), 15.0 * np.arange(1, len(names) + 1), False))
 
 
-def _drawn(problem: Problem, values: Mapping[Any, Any], seed: int) -> dict[str, np.ndarray]:
+def _drawn(problem: Problem, values: Mapping[Any, Any], seed: int) -> dict[str, Any]:
     return {o.group: o.readings for o in simulate(problem, values, seed).observations}
 
 

@@ -117,7 +117,7 @@ def combinations(fit: Linearisation, knowledge: Knowledge | None = None) -> tupl
         if effect.parameters[0].name == "constant":
             size[fit.layout.span(fit.effects[effect])] = known.u(effect)
     columns = fit.layout.free_columns
-    size, labels = size[columns], [fit.layout.label(c) for c in columns]
+    size, labels = size[columns], [fit.layout.label(int(c)) for c in columns]
     jacobian = fit.rows[0].toarray()
     errors = np.flatnonzero(np.isfinite(size))
     scaled = jacobian.copy()
@@ -208,7 +208,8 @@ def leaders_only(problem: Problem, found: Sequence[Combination]) -> Problem:
 def unseen(fit: Linearisation) -> tuple[str, ...]:
     """Names of the free unknowns that no reading sees at all, whatever the others do."""
     size = np.linalg.norm(fit.rows[0].toarray(), axis=0)
-    return tuple(fit.layout.label(c) for c, length in zip(fit.layout.free_columns, size, strict=True) if length == 0.0)
+    return tuple(fit.layout.label(int(c)) for c, length in zip(fit.layout.free_columns, size, strict=True)
+                 if length == 0.0)
 
 
 def poses_from_axes(setup: Setup, axes: Readings, u_axis: float,

@@ -7,11 +7,12 @@ Source: Li Chen, Fang Qiang, Li Jiangxiong 2010, eq 1, 2, 14-16.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calib import direct, hands_slots_to
 from calib.geometry import Transform, rotation_from_rpy
@@ -89,6 +90,6 @@ def target_reading(part_pose: Transform, tracker_from_hall: Transform, target_in
     return laser_tracker.polar_from_station(tracker_from_hall, part_pose @ target_in_part, **slots)
 
 
-def pose(position: Sequence[float], alpha: float, beta: float, gamma: float) -> Transform:
+def pose(position: ArrayLike, alpha: float, beta: float, gamma: float) -> Transform:
     """hall_from_part of a position (3,) [m] and angles [rad] about the fixed axes x, then y, then z (eq 1)."""
     return Transform(rotation_from_rpy(alpha, beta, gamma), np.asarray(position, dtype=float))

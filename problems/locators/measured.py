@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from calib import Observations, Pose, Problem, Quantity, Shared
 from calib.errors import InputError
@@ -79,7 +79,7 @@ class Readings:
         return Readings(np.asarray(pose), np.asarray(item), values, np.zeros((n, 3)), none, none, np.ones(n, dtype=int),
                         np.arange(1, n + 1), np.full(n, "fit"))
 
-    def where(self, chosen: ArrayLike) -> Readings:
+    def where(self, chosen: NDArray[np.bool_]) -> Readings:
         """The chosen rows."""
         return Readings(*(np.asarray(getattr(self, name))[chosen] for name in self.__dataclass_fields__))
 
@@ -123,9 +123,9 @@ def declare(setup: Setup, axes: Readings, targets: Readings | None = None, *, u_
     """
     _check(setup, axes, targets)
     poses = np.unique(axes.pose)
-    start = start_poses(setup, axes, poses)
+    start = start_poses(setup, axes, list(poses))
     part_pose = Pose("part", np.stack([one.rotation for one in start]), np.stack([one.translation for one in start]),
-                     "mm", "arcsec", keys=poses)
+                     "mm", "arcsec", keys=list(poses))
     observations = []
     for locator in setup.locators:
         read = setup.axes_of(locator.key)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,7 +31,7 @@ SOURCES = (*SHIFTS, *TURNS, *BALLS)              # of one locator: 24 of the loc
 Axes = Mapping[str, tuple[str, ...]]
 
 
-def position_and_angles(part_pose: Transform) -> object:
+def position_and_angles(part_pose: Transform) -> Any:
     """x, y, z [m] and alpha, beta, gamma [rad] (6,) of a pose, as the paper's delta E orders them (eq 44)."""
     angles = rpy_from_rotation(part_pose.rotation)
     return column(*(part_pose.translation[i] for i in range(3)), *(angles[i] for i in range(3)))
@@ -114,7 +115,7 @@ def form_of(fit: Linearisation) -> LinearForm:
     """The linear form in a linearisation of `declare`: how the free pose gives way to what is held."""
     layout = fit.layout
     by_name = {u.name: u for u in layout.unknowns}
-    column_of = {}
+    column_of: dict[str, int] = {}
     for unknown, names in ((by_name["shift"], SHIFTS), (by_name["turn"], TURNS), (by_name["ball_in_part"], BALLS)):
         span = layout.span(unknown)
         sources = (f"{key}.{name}" for key in unknown.keys for name in names)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calib import solve
 from calib.geometry import Transform
 from calib.units import arcsec, factor, mm
-from calib.workflow.reproduce import Item, Printed, Reproduction
+from calib.workflow.reproduce import DIFFERS, Item, Printed, Reproduction, verdict
 from problems.locators import figures, paper, sensitivity, spread
 from problems.locators.errors import AXES
 from problems.locators.measured import Setup
@@ -62,7 +62,7 @@ def spread_study(mechanism: Setup, target: Transform, form: LinearForm) -> Assum
     fitted = {a: solve(spread.declare(form, tolerances, a)) for a in spread.ASSUMPTIONS}
     rows = [{"assumption": a.name, "v'Pv": e.objective, "dof": e.dof, "p_value": e.p_value,
              "all six within 95%": bool(np.all(np.abs(e.residuals["table 6"][:, 0] / relative_u()) < COVERAGE_95)),
-             **{f"{q.name} [{q.unit}]": np.atleast_1d(e[q] / factor(q.unit)) for q in e.problem.quantities},
+             **{f"{q.name} [{q.unit}]": np.atleast_1d(e[q] / factor(str(q.unit))) for q in e.problem.quantities},
              "sigmas [mm, deg]": spread.component_sigmas(form, tolerances, a, e)} for a, e in fitted.items()]
     ranges = {}
     for full, roll in ((False, False), (False, True), (True, False), (True, True)):
@@ -98,9 +98,8 @@ def table_3(mechanism: Setup, poses: dict[str, Transform]) -> list[Item]:
     for key, printed in Printed.read("locators/table3_strokes.csv", value="stroke_mm", unit=None).items():
         _, axis, locator = key.split("_")
         value = float(travel[paper.LOCATORS.index(locator), AXES.index(axis)])
-        low = value - printed.number
         why = ""
-        if abs(low) > printed.half_digit:
+        if verdict(value, printed) == DIFFERS:
             why = (f"printed one last digit low: tables 2 and 5 give {value:.5f}, which rounds to {value:.3f}; it is "
                    "printed as if cut off, but y_A and z_B are not; no rounding of the rotation matrix or of the "
                    "angles "
@@ -114,7 +113,7 @@ def table_6(assumed: Assumed) -> list[Item]:
     printed = Printed.read("locators/table6_pose_error.csv")
     items = []
     for i, (component, unit) in enumerate(zip(COMPONENTS, COMPONENT_UNITS, strict=True)):
-        sigma = printed[f"T6_{component}_sigma"].number
+        sigma = float(printed[f"T6_{component}_sigma"].text)
         items.append(Item(
             f"T6_{component}_mean", f"mean of {component} over {spread.SAMPLES} samples", unit,
             printed[f"T6_{component}_mean"], value=assumed.means[i],
