@@ -145,7 +145,7 @@ def test_second_derivatives_are_those_of_finite_differences(name, number):
     sizes = [np.full(s.shape[0], want) for s, want, known in
              zip(term.traced.symbols.local, term.any_free, term.any_unknown, strict=True) if known]
     chosen = np.concatenate(sizes).astype(bool)
-    for row in spread_rows(term, 3)[1:2]:
+    for row in [term.n // 2]:
         slope = evaluated(term, ca.jacobian(ca.dot(ca.DM(weights[row]), term.traced.prediction), free).T)
 
         def moved(inputs, steps, slope=slope):
