@@ -13,7 +13,7 @@ from calib.workflow.reproduce import Item, Printed, Reproduction
 
 from . import adjustment, figures, paper_uncertainty, reasons, step_by_step, tracker_simulation
 from .readings import published
-from .results import ITEMS, JOINT, STEP, TO_THE_PLUMB_LINE, USUAL, Fit, Fits, fits
+from .results import ITEMS, JOINT, STEP, TO_THE_PLUMB_LINE, USUAL, Fit, Fits, Place, fits
 from .rounded import along_printed
 
 NAME = "five-axis"
@@ -32,7 +32,13 @@ _SIGMA_OF = {
     "s9b": "it9b",
     "s10": "it10",
 }
-_PRINTED_U = {item: sigma for sigma, item in _SIGMA_OF.items()} | {"it8a": "s8"}
+_PRINTED_U = {
+    **{item: sigma for sigma, item in _SIGMA_OF.items()},
+    "it8a": "s8", "lev_par": "lev_parsig", "dX": "s9a", "dY": "s9b",
+    **{f"lev{table}_th{part}": "lev_sig1" for table in "32" for part in "xy"},
+    **{f"{sight}_hz": f"{sight}_sig" for sight in ("T1_S3", "T1_S2", "T2_S3", "T2_S2")},
+    **{f"{target}_{circle}": f"{pair}_sig" for pair in ("AB", "CD") for target in pair for circle in ("hz", "v")},
+}
 
 
 def reproduce() -> Reproduction:
@@ -158,12 +164,14 @@ def _tracker() -> dict[str, dict[str, Any]]:
         "tr_int": {"value": apart * 1e3, "why": "with the coordinates of (16) in mm; in metres it would be 294 mm"},
     }
     assumed = tracker_simulation.Assumed()
+    simulated = tracker_simulation.simulated(assumed, SEED)
     for key, value in tracker_simulation.scatter(assumed).items():
         found[key] = {
             "value": None,
             "why": tracker_simulation.NOT_PRINTED,
             "assumption": str(assumed),
             "value_under_assumption": value,
+            "fifteen_simulated_trials": simulated[key],
             "sampling_interval_under_assumption": [value * factor for factor in tracker_simulation.SAMPLING],
         }
     return found
@@ -202,7 +210,10 @@ def _studies(found: Fits, numbers: Mapping[str, float], printed: Mapping[str, Pr
         ],
         "joint": joint_table(found, printed),
         "budgets": {key: _budget(found.joint, key, printed[key].unit) for key in ITEMS},
-        "montecarlo": _montecarlo(found.step, printed),
+        "montecarlo": [
+            *_montecarlo("step by step", found.step, STEP, printed),
+            *_montecarlo("jointly", found.joint, JOINT, printed),
+        ],
         "tracker": tracker_simulation.sweep({key: numbers[key] for key in tracker_simulation.PRINTED}),
         "advice": list(adjustment.advice(found.alternatives[USUAL].linear)),
     }
@@ -261,18 +272,22 @@ def _scalar(fit: Fit, name: str) -> Any:
     )
 
 
-def _montecarlo(step: Fit, printed: Mapping[str, Printed]) -> list[dict[str, Any]]:
-    drawn = montecarlo(step.estimate, TRIALS, SEED)
+def _montecarlo(
+    procedure: str, fit: Fit, places: Mapping[str, Place], printed: Mapping[str, Printed]
+) -> list[dict[str, Any]]:
+    """u of the twelve results by the linear propagation and as the spread of re-estimates (JCGM 101:2008, 8)."""
+    drawn = montecarlo(fit.estimate, TRIALS, SEED)
     rows = []
     for key in ITEMS:
-        ((name, _),) = STEP[key].items()
+        ((name, _),) = places[key].items()
         place = drawn.names.index(name)
         scale = arcsec if printed[key].unit == "arcsec" else 1e-3
         rows.append(
             {
                 "key": key,
+                "procedure": procedure,
                 "unit": printed[key].unit,
-                "u_linear": step.at(STEP[key], printed[key].unit)[1],
+                "u_linear": fit.at(places[key], printed[key].unit)[1],
                 "u_montecarlo": float(drawn.samples[:, place].std(ddof=1)) / scale,
                 "trials": TRIALS,
             }
