@@ -117,7 +117,7 @@ def tables(campaigns: int, repetitions: int) -> str:
 def seen_in_words(poses: int, seed: int) -> str:
     """The combinations of errors that each scheme sees, in words, of one campaign."""
     lines = [f"# What {poses} poses see", "",
-             "Combinations of errors of which the readings tell more than was known beforehand, each with its u from the",
+             "Combinations of errors of which the readings tell more than was known beforehand, with u from the",
              "readings alone. f = travel/half range; an error is constant + slope f + bow f^2.", ""]
     truth = drawn_errors(seed)
     for scheme in (SCHEMES[0], SCHEMES[1], SCHEMES[3]):
