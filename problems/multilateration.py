@@ -315,7 +315,8 @@ def example_job(seed: int) -> dict[str, str]:
     read = truth.observations[0]
     rough = np.random.default_rng(seed).normal(0.0, 1.0 * mm, target.ambient.shape)
     rows = [f"{row},{t},{p},{d / mm:.5f}" for row, t, p, d in
-            zip(read.rows, read.covariates["tracker"], read.covariates["target"], np.asarray(read.readings, float).ravel(), strict=True)]
+            zip(read.rows, read.covariates["tracker"], read.covariates["target"],
+                np.asarray(read.readings, float).ravel(), strict=True)]
     return {"ranges.csv": "\n".join(["row,tracker,target,d_mm", *rows, ""]), "job.toml": EXAMPLE_JOB,
             "trackers.csv": _table_of("tracker", tracker.keys, tracker.ambient[:, :3]),
             "targets.csv": _table_of("target", target.keys, target.ambient + rough)}
