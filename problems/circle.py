@@ -113,7 +113,7 @@ def declare(points: ArrayLike, u: ArrayLike | Gaussian, command: ArrayLike | Non
     measured = Observations(point_on_circle, foot.each, centre, normal, radius, Shared(begin.reference),
                             readings=points, u=u, group="points", unit="mm", components=("x", "y", "z"), rows=rows,
                             covariates={"position": np.arange(1, n + 1), **(covariates or {})})
-    blocks = np.unique(measured.covariates["block"])[1:] if "block" in measured.covariates else ()
+    blocks = np.unique(measured.covariates["block"])[1:].tolist() if "block" in measured.covariates else []
     candidates = [e for e in effects(blocks) if set(e.inputs) & {"time", "block"} <= set(measured.covariates)]
     angle = Quantity("angle", turned, foot[np.arange(1, n)], foot[np.zeros(n - 1, dtype=int)], unit="deg",
                      keys=range(2, n + 1))
@@ -187,7 +187,7 @@ def example_points(seed: int) -> tuple[Array, Array]:
     polar = laser_tracker.polar_readings(points)
     covariance = laser_tracker.cartesian_covariance(polar, [2.0 * um, 1.0 * arcsec, 1.0 * arcsec])
     noisy = simulate(declare(points, Gaussian.matrix(covariance)), None, seed)
-    return noisy.observations[0].readings, covariance
+    return np.asarray(noisy.observations[0].readings), covariance
 
 
 def example(seed: int) -> Problem:

@@ -55,7 +55,7 @@ def declare(stop: ArrayLike, series: ArrayLike, start_face: ArrayLike, readings:
     seen = Observations(polygon_face, face[(first - 1 + stop) % faces], table[stop % faces], zero[item],
                         readings=readings, u=u, group="autocollimator", unit="arcsec", components=("angle",), rows=rows,
                         covariates={"stop": stop, "series": names, **given})
-    blocks = np.unique(seen.covariates["block"])[1:] if "block" in given else ()
+    blocks = np.unique(seen.covariates["block"])[1:].tolist() if "block" in given else []
     drivers = {"time", "block", "temperature_difference", "tilt", "table_angle"}
     candidates = [e for e in effects(blocks) if e.slot in ("mirror", "autocollimator")
                   and set(e.inputs) & drivers <= set(given)]
@@ -138,6 +138,7 @@ def example(seed: int, faces: int = 12, starts: tuple[int, ...] = (1, 2, 5)) -> 
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job with the readings of `example`: {file name: text}."""
     seen = example(seed).observations[0]
+    assert seen.readings is not None
     lines = [f"{k},{s},{s},{t / minute:.0f},{b},{r / arcsec:.3f}" for k, s, t, b, r in
              zip(*(seen.covariates[name] for name in ("stop", "series", "time", "block")), seen.readings[:, 0])]
     return {

@@ -105,7 +105,7 @@ def declare(command: ArrayLike, measured: ArrayLike, u: ArrayLike | Gaussian,
     zero = Unknown("zero", start(command, measured), unit="arcsec")
     seen = Observations(table_angle, command, zero, readings=measured, u=u, group="table", unit="deg",
                         components=("angle",), covariates=given, rows=rows)
-    blocks = np.unique(seen.covariates["block"])[1:] if "block" in given else ()
+    blocks = np.unique(seen.covariates["block"])[1:].tolist() if "block" in given else []
     both_ways = len(np.unique(seen.covariates["direction"])) > 1
     candidates = [e for e in effects(blocks, orders) if both_ways or e.name != "hysteresis"]
     return Problem([seen], effects=candidates, name="positioning of a rotary table")
@@ -209,6 +209,7 @@ def example(seed: int) -> Problem:
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job that asks for the figures of ISO 230-2 of the readings of `example`: {file name: text}."""
     seen = example(seed).observations[0]
+    assert seen.readings is not None
     names = ("command", "time", "direction", "block")
     lines = [f"{np.degrees(c):.0f},{np.degrees(r):.8f},{t / minute:.0f},{way},{b}"
              for r, c, t, way, b in zip(seen.readings[:, 0], *(seen.covariates[name] for name in names))]

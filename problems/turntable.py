@@ -85,7 +85,7 @@ def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
 # --- the declaration ---------------------------------------------------------------------------------------------
 
 
-def start(command: ArrayLike, points: ArrayLike, reflectors: Sequence[str], axis: ArrayLike | None = None
+def start(command: ArrayLike, points: ArrayLike, reflectors: ArrayLike, axis: ArrayLike | None = None
           ) -> dict[str, Array]:
     """Start values from an algebraic circle through the points of each reflector.
 
@@ -148,7 +148,7 @@ def declare(command: ArrayLike, readings: ArrayLike, u: ArrayLike | Gaussian, re
                         group="tracker", unit=("um", "arcsec", "arcsec"), components=("range", "azimuth", "zenith"),
                         period=laser_tracker.PERIOD, rows=rows,
                         covariates={"command": (command, "deg"), "reflector": names, **given})
-    blocks = np.unique(seen.covariates["block"])[1:] if "block" in given else ()
+    blocks = np.unique(seen.covariates["block"])[1:].tolist() if "block" in given else []
     candidates = [e for e in effects(blocks) if set(e.inputs) & _DRIVERS <= set(given)]
     return Problem([seen], held=[height[0], *held], effects=candidates, name="turntable by coordinates")
 

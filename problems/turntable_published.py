@@ -8,6 +8,7 @@ Source: Li, Cao, Qu 2020, Metrology and Measurement Technology 40(2), 14-19, doi
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -100,7 +101,8 @@ def setting_items(tables: dict[str, Table], joint: Methods) -> Iterator[Item]:
     steps = {name: float(np.mean(np.diff(table.number("nominal", "angle")))) / degree for name, table in tables.items()}
     texts = shipped("turntable/published_values.csv").text("value")
     for text, (key, printed) in zip(texts, Printed.read("turntable/published_values.csv").items()):
-        value, why, more = None, unprinted.get(key, ""), {}
+        value, why = None, unprinted.get(key, "")
+        more: dict[str, Any] = {}
         if key.startswith("step_"):
             value = steps["T1" if key == "step_table1" else "T2"]
             why = "the text says 30 deg, table 2 lists every 60 deg" if key.endswith("text") else ""

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib import Gaussian, Linearisation, covariance, linearise, solve, variance_components
-from calib.table import Table
+from calib.table import Table, shipped
 from calib.units import arcsec, mm
-from calib.workflow.reproduce import Printed
 from instruments import laser_tracker
 from problems import circle, positioning
 
@@ -30,8 +29,9 @@ def tracker_angles(command: Array, radius: float, distance: float = DISTANCE) ->
 
     command: (n,) [rad]; radius, distance: of the reflector from the axis and of the table from the tracker [m].
     """
-    stated = Printed.read("turntable/published_values.csv")
-    fixed, rate = (stated[f"tracker_U_{name}"].number for name in ("const", "prop"))
+    statement = shipped("turntable/published_values.csv")
+    fixed, rate = (float(statement.text("value")[statement.text("key") == f"tracker_U_{name}"][0])
+                   for name in ("const", "prop"))
     points = np.column_stack([distance + radius * np.cos(command), radius * np.sin(command), np.zeros_like(command)])
     polar = laser_tracker.polar_readings(points)
     u = laser_tracker.from_coordinate_statement(fixed * mm, rate * mm, 2.0).at(polar)
