@@ -264,8 +264,8 @@ def _split(path: Path, text: str) -> tuple[str, int, list[str], tuple[int, ...],
                     "decimal = \",\" for this table.")
             raise InputError(f"{path}, line {line}: {len(cells)} cells under a header of {len(header)} "
                              f"(line {header_line}): complete the line or mend its separators.{hint if comma else ''}")
-    lines, cells = zip(*rows[1:])
-    return source, header_line, header, lines, tuple(tuple(row) for row in cells)
+    lines, cells = tuple(line for line, _ in rows[1:]), tuple(tuple(row) for _, row in rows[1:])
+    return source, header_line, header, lines, cells
 
 
 def _rows(content: Sequence[tuple[int, str]], separator: str) -> Iterator[tuple[int, list[str]]]:

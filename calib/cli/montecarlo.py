@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -55,8 +56,8 @@ def montecarlo(job: Path, trials: int, seed: int, method: str, problem_file: Pat
     if output.folder is not None:
         packed = io.BytesIO()
         scale = [units.factor(unit) for unit in found.units]
-        labels = {"names": np.array(found.names), "units": np.array(found.units)}
-        np.savez_compressed(packed, samples=found.samples / scale, **labels)
+        names, its_units = np.array(found.names), np.array(found.units)
+        np.savez_compressed(packed, samples=found.samples / scale, names=names, units=its_units)
         output.wrote(
             files.write_json(output.path("montecarlo.json"), content),
             files.write_bytes(output.path("samples.npz"), packed.getvalue()),
@@ -65,7 +66,7 @@ def montecarlo(job: Path, trials: int, seed: int, method: str, problem_file: Pat
     return DONE if passed else FAILED
 
 
-def quantities(found: MonteCarlo) -> list[dict[str, object]]:
+def quantities(found: MonteCarlo) -> list[dict[str, Any]]:
     """The entries of montecarlo.json, in display units.
 
     found: the samples.

@@ -60,10 +60,9 @@ def simulate(
 def _write(output: Output, job: Job, found: Simulated, content: dict[str, object]) -> list[Path]:
     written = [files.write_text(output.path(job.path.name), job.path.read_text(encoding="utf-8-sig"))]
     for (name, table), path in zip(found.tables.items(), job.files[1:]):
-        target = output.folder / path.relative_to(job.path.parent) if path.is_relative_to(job.path.parent) else None
-        if target is None:
+        if not path.is_relative_to(job.path.parent):
             raise InputError(f"{path}: table '{name}' does not lie below the job; move it there")
-        written.append(table.write(target))
+        written.append(table.write(output.path(str(path.relative_to(job.path.parent)))))
     if found.loose:
         written.append(files.write_csv(output.path("simulated_readings.csv"), LOOSE, _loose(found)))
     return [*written, files.write_json(output.path("truth.json"), content)]

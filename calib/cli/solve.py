@@ -15,6 +15,7 @@ from calib.solve.gauss_newton import GaussNewton
 from calib.solve.method import Method
 from calib.workflow.solution import Solution, solved
 
+LISTED = 40       # results in the text; the files hold all
 METHODS = ("gauss-newton", "ipopt", "convex")
 
 
@@ -76,18 +77,21 @@ def say(output: Output, solution: Solution) -> None:
         output.prose(f"NOT CERTIFIED: {why}. These numbers show where it stopped; they are no result.")
         output.say()
     output.say(f"{solution.problem.name}: expanded uncertainty U with k = 2\n")
-    rows = [_row(*displayed) for displayed in solution.results.displayed]
-    widths = [max(len(row[column]) for row in rows) for column in range(4)]
-    for row, name in zip(rows, solution.results.names):
-        judged = [one.verdict for one in solution.conformities if one.quantity == name]
-        line = (f"  {row[0]:<{widths[0]}}  {row[1]:>{widths[1]}} ± {row[2]:<{widths[2]}}  {row[3]}"
-                f"{''.join(f'  {verdict}' for verdict in judged)}")
+    verdicts = {one.quantity: f"  {one.verdict}" for one in solution.conformities}
+    table = [_row(*displayed) for displayed in solution.displayed[:LISTED]]
+    widths = [max(len(row[column]) for row in table) for column in range(4)]
+    for name, value, expanded, unit in table:
+        between = " ± " if expanded else "   "
+        line = (f"  {name:<{widths[0]}}  {value:>{widths[1]}}{between}{expanded or '(fixed)':<{widths[2]}}  {unit}"
+                f"{verdicts.get(name, '')}")
         output.say(line.rstrip())
+    if len(solution.results.names) > LISTED:
+        output.say(f"  and {len(solution.results.names) - LISTED} more, in result.json and report.html (--out DIR)")
     output.say()
     output.prose(agreement(solution))
     for exclusion in solution.job.exclude:
-        rows = ", ".join(map(str, exclusion.rows))
-        output.prose(f"Left out, table {exclusion.table}, row {rows}: {exclusion.reason}")
+        left_out = ", ".join(map(str, exclusion.rows))
+        output.prose(f"Left out, table {exclusion.table}, row {left_out}: {exclusion.reason}")
     limits = (*solution.remarks, *solution.weak)
     for heading, lines in (("To adjust:", solution.advice), ("Cannot be known, or hardly:", limits)):
         if lines:
@@ -96,9 +100,8 @@ def say(output: Output, solution: Solution) -> None:
                 output.prose(sentence, "  - ")
 
 
-def _row(name: str, value: float, u: float, unit: str) -> tuple[str, str, str, str]:
-    shown, expanded = numbers.with_uncertainty(value, 2.0 * u)
-    return name, shown, expanded or "0 (fixed)", "" if unit == "1" else unit
+def _row(name: str, value: float | None, u: float, unit: str) -> tuple[str, str, str, str]:
+    return name, *numbers.with_uncertainty(value, 2.0 * u), "" if unit == "1" else unit
 
 
 def content_of(solution: Solution, **more: Any) -> dict[str, Any]:

@@ -75,7 +75,7 @@ def html(solution: Solution, provenance: Provenance) -> str:
 
 def _answers(solution: Solution) -> Iterator[dict[str, str]]:
     verdicts = {one.quantity: one for one in solution.conformities}
-    for name, value, u, unit in solution.results.displayed[:ANSWERS]:
+    for name, value, u, unit in solution.displayed[:ANSWERS]:
         shown, expanded = numbers.with_uncertainty(value, 2.0 * u)
         text = f"{shown} ± {expanded} {unit}" if expanded else f"{shown} {unit} (fixed)"
         judged = verdicts.get(name)
@@ -117,7 +117,7 @@ def _results(solution: Solution) -> Grid:
     if found is not None:
         header[4:4] = ["u(vc)", "k(vc)"]
     rows = []
-    for index, (name, value, u, unit) in enumerate(solution.results.displayed):
+    for index, (name, value, u, unit) in enumerate(solution.displayed):
         shown, its_u = numbers.with_uncertainty(value, u)
         row: list[str | Cell] = [name, shown, its_u or "–", numbers.with_uncertainty(0.0, 2.0 * u)[1] or "–", unit]
         if found is not None:
@@ -129,7 +129,7 @@ def _results(solution: Solution) -> Grid:
 
 
 def _tolerances(solution: Solution) -> Grid | None:
-    rows = []
+    rows: list[list[str | Cell]] = []
     for one in solution.conformities:
         scale = units.factor(one.unit)
         shown, u = numbers.with_uncertainty(one.value / scale, one.u / scale)
@@ -145,7 +145,7 @@ def _including(solution: Solution) -> Grid | None:
     if solution.including is None:
         return None
     rows = []
-    for (name, value, u, unit), (_, whole, whole_u, _) in zip(solution.results.displayed, solution.including.displayed):
+    for (name, value, u, unit), (_, whole, whole_u, _) in zip(solution.displayed, solution.including.displayed):
         rows.append([name, *numbers.with_uncertainty(value, u), *numbers.with_uncertainty(whole, whole_u), unit])
     return Grid(["result", "without them", "u", "with them", "u", "unit"], rows)
 
@@ -168,7 +168,7 @@ def _residual_groups(solution: Solution) -> Iterator[dict[str, Any]]:
         chosen = reliability.of(group.name)
         if group.is_prior or not chosen.any():
             continue
-        w, component = reliability.w[chosen], reliability.component[chosen]
+        w, component = reliability.w[chosen], [str(name) for name in reliability.component[chosen]]
         rms = float(np.sqrt(np.mean((reliability.residual[chosen] / reliability.u[chosen]) ** 2)))
         caption = f"{group.name}: {chosen.sum()} scalar readings, rms of residual/u = {numbers.plain(rms, 3)}"
         if chosen.sum() > plots.DRAWN:

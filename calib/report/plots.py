@@ -113,10 +113,9 @@ def redundancy(values: np.ndarray, groups: Sequence[str]) -> Figure:
     """
     figure, axes = canvas(2.1)
     step = max(1, -(-len(values) // DRAWN))
-    groups = np.asarray(groups)
     begin = 0
     for number, name in enumerate(dict.fromkeys(groups)):
-        mine = values[groups == name]
+        mine = values[np.asarray(groups) == name]
         place = np.arange(begin, begin + len(mine))
         axes.scatter(place[::step], mine[::step], s=12, color=SERIES[number % len(SERIES)], linewidths=0, label=name)
         begin += len(mine)

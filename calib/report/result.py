@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from calib import files, geometry, units
+from calib import files, units
 from calib.analyse.covariance import Covariance
 from calib.analyse.reliability import Reliability
 from calib.report.provenance import Provenance
-from calib.unknown import Unknown
+from calib.workflow.shown import parts_of, shown
 from calib.workflow.solution import Solution
 
 FORMAT = 1
@@ -74,7 +74,7 @@ def reliability_rows(reliability: Reliability) -> Iterator[dict[str, Any]]:
 
 def unknown_entries(solution: Solution) -> Iterator[dict[str, Any]]:
     for unknown in solution.problem.unknowns:
-        values, u = _shown(solution, unknown)
+        values, u = shown(solution.fit, unknown, solution.u_of[unknown])
         held = solution.problem.is_held(unknown)
         for instance in range(unknown.count):
             repeats = unknown.count > 1 or unknown.named_keys
@@ -87,51 +87,16 @@ def unknown_entries(solution: Solution) -> Iterator[dict[str, Any]]:
                 scale = units.factor(unit)
                 yield {
                     "name": name, "instance": None if name == key else key,
-                    "part": None if values.shape[1] == 1 else _parts(unknown)[part],
+                    "part": None if values.shape[1] == 1 else parts_of(unknown)[part],
                     "value": values[instance, part] / scale, "u": None if is_held else u[instance, part] / scale,
                     "unit": unit, "held": is_held,
                     **(_with_components(solution, unknown.label(instance, part)) if unknown.kind == "vector" else {}),
                 }
 
 
-def _parts(unknown: Unknown) -> tuple[str, ...]:
-    return ("x", "y", "z") if unknown.kind == "direction" else unknown.parts
-
-
-def _shown(solution: Solution, unknown: Unknown) -> tuple[np.ndarray, np.ndarray]:
-    """Values and u (count, parts) in SI: rotations as rotation vectors, directions as their three components."""
-    stored, u = solution.fit.values[unknown], solution.u_of[unknown]
-    if unknown.kind == "vector":
-        return stored, u
-    shown = unknown.show(stored)
-    if unknown.kind == "rotation":
-        return _turns(np.reshape(shown, (-1, 3, 3))), u
-    if unknown.kind == "direction":
-        frames = stored.reshape(-1, 3, 3).transpose(0, 2, 1)
-        # u of a component from the two small angles across the vector; their correlation is in the covariance.
-        across = [_across(solution, unknown, i, frames[i][:, :2]) for i in range(unknown.count)]
-        return np.reshape(shown, (-1, 3)), np.array(across)
-    poses = [shown] if unknown.shape == () else list(shown)  # type: ignore[call-overload]
-    turns = _turns(np.array([pose.rotation for pose in poses], float))
-    return np.hstack([np.array([np.ravel(pose.translation) for pose in poses], float), turns]), u
-
-
-def _across(solution: Solution, unknown: Unknown, instance: int, frame: np.ndarray) -> np.ndarray:
-    from calib.analyse.covariance import covariance
-
-    if solution.problem.is_held(unknown)[instance].any():
-        return np.full(3, np.nan)
-    matrix = covariance(solution.fit, unknown[instance]).matrix
-    return np.sqrt(np.maximum(np.diag(frame @ matrix @ frame.T), 0.0))
-
-
-def _turns(matrices: np.ndarray) -> np.ndarray:
-    return np.array([np.asarray(geometry.rotation_vector(matrix), float).ravel() for matrix in matrices])
-
-
 def _derived(solution: Solution) -> Iterator[dict[str, Any]]:
     own = {label for unknown in solution.problem.unknowns for label in unknown.labels}
-    for name, value, u, unit in solution.results.displayed:
+    for name, value, u, unit in solution.displayed:
         if name not in own:
             yield {"name": name, "value": value, "u": u, "unit": unit, **_with_components(solution, name)}
 

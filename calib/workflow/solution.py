@@ -24,6 +24,7 @@ from calib.solve.method import Method
 from calib.unknown import Unknown
 from calib.workflow.conformity import Conformity, judge
 from calib.workflow.knowledge import named, with_priors
+from calib.workflow.shown import values_by_label
 
 BUDGETS = 40     # results up to which a budget is split; beyond that a table of budgets is read by nobody
 INSEPARABLE = 0.999      # correlation of two unknowns from which on a report speaks of it
@@ -68,6 +69,21 @@ class Solution:
     weak: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
     named_by_key: tuple[str, ...] = ()
+
+    @property
+    def displayed(self) -> list[tuple[str, float | None, float, str]]:
+        """(name, value, u, unit) of the results in display units; no value for the two small angles of a direction."""
+        readable: dict[str, float | None] = {}
+        for unknown in self.fit.layout.unknowns:
+            if unknown.kind != "vector":
+                readable.update(values_by_label(self.fit, unknown))
+        found: list[tuple[str, float | None, float, str]] = []
+        for name, value, u, unit in self.results.displayed:
+            own = readable.get(name, value)
+            if name in readable and own is not None:
+                own = float(units.from_si(own, unit))
+            found.append((name, None if own is None else float(own), float(u), unit))
+        return found
 
 
 def declared(job: Job, module: ModuleType) -> Problem:
