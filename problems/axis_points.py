@@ -264,7 +264,7 @@ def _from_job(job: Job, shared: Collection[str] | None) -> Problem:
             raise InputError(f"{place}: face {face[row]} is neither 1 nor 2; correct it")
         face = np.where(face == 1, 1.0, -1.0)
     problem = declare(
-        np.stack([data.number("H", "angle"), data.number("V", "angle")], axis=1), data.text("target"),
+        np.stack([data.number("H", "angle"), data.number("V", "angle")], axis=1), list(data.text("target")),
         data.number("angle", "angle"), distance={key: one.quantity("L", "length") for key, one in targets.items()},
         elevation={key: one.quantity("elevation", "angle", 0.0) for key, one in targets.items()},
         u=[instrument.quantity(f"{stated}_{circle}", "angle") for circle in "HV"], face=face,
@@ -326,7 +326,7 @@ def example_job(seed: int) -> dict[str, str]:
         "# source: simulated, three targets over half a turn, both faces, two set-ups",
         "row,target,face,block,direction,angle_deg,time_min,H_deg,V_deg",
     ]
-    for i, (h, v) in enumerate(observations.readings):
+    for i, (h, v) in enumerate(np.asarray(observations.readings)):
         face = 1 if known["face"][i] > 0 else 2
         lines.append(
             f"{i + 1},{c['target'][i]},{face},{c['block'][i]},{c['direction'][i]},{known['angle'][i] / degree:.1f},"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -104,8 +105,8 @@ def _stated(step: Fit) -> dict[str, dict[str, Any]]:
     plumb = [step.stated["plumb[three_axis].x"][1] / arcsec, step.stated["plumb[three_axis].y"][1] / arcsec]
     found = {
         "lev_sig1": {"value": plumb[0]},
-        "lev_parsig": {"value": float(np.hypot(*plumb))},
-        "s8": {"value": float(np.hypot(*plumb))},
+        "lev_parsig": {"value": math.hypot(*plumb)},
+        "s8": {"value": math.hypot(*plumb)},
     }
     for key, name in (
         ("T1_S3_sig", "T1 S3"), ("T1_S2_sig", "T1 S2"), ("T2_S3_sig", "T2 S3"), ("T2_S2_sig", "T2 S2"),

@@ -129,7 +129,8 @@ def declare(readings: Readings, sharing: Sharing) -> Problem:
         table_of, x, y = zip(*r.feet.values())
         places = np.stack([x, y], axis=1)
         quantities.append(
-            Quantity("foot", world.raise_of_foot, unknowns.plumb[np.array(table_of)], places, unit="um", keys=r.feet)
+            Quantity(
+                "foot", world.raise_of_foot, unknowns.plumb[np.array(table_of)], places, unit="um", keys=list(r.feet))
         )
     return Problem(observations, quantities=quantities, held=[unknowns.offset[0], up], name="five-axis, jointly")
 
@@ -165,7 +166,7 @@ def _unknowns(
         zero=Unknown("circle_zero", np.array(toward)[:, None], "deg", keys=INSTRUMENTS),
         index=Unknown("vertical_index", r.index[0], "deg"),
         standing=Unknown("standing_axis", np.zeros((2, 2)), "arcsec", names, INSTRUMENTS),
-        distance=Unknown("distance", [[value] for value, _ in r.distance.values()], "mm", keys=r.distance),
+        distance=Unknown("distance", [[value] for value, _ in r.distance.values()], "mm", keys=list(r.distance)),
         # the three-axis yaw axis is where X ends, so its own offset is zero and held
         offset=Unknown("yaw_offset", np.zeros((2, 2)), "mm", names, TABLES),
         height=Unknown("wire_height", np.zeros((2, 1)), "mm", keys=WIRES),

@@ -8,6 +8,7 @@ propagation, `partial` the one by the partial derivatives of (15).
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,7 +40,7 @@ def with_slope_apart(slope: Any, near: Any, near_distance: Any, crossing: Any) -
     return slope * (crossing - near_distance) + near_distance * near
 
 
-def propagate(readings: Readings, angles: dict[str, tuple[float, float]], u_centre: float = U_CENTRE) -> Propagated:
+def propagate(readings: Readings, angles: Mapping[str, Sequence[float]], u_centre: float = U_CENTRE) -> Propagated:
     """Propagate the paper's sigmas through (14) and (15).
 
     readings: distances and their u; angles: {"pitch H": (theta_A, theta_B), ...} [rad]; u_centre: of the angles of both

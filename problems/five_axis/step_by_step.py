@@ -43,7 +43,7 @@ def declare(readings: Readings) -> Problem:
     centre = Unknown("centre", _first_centres(r), "deg", keys=keys)
     read = [k for k in keys if k[0] not in r.centre]
     circle = Unknown("circle", np.zeros((len(read), 2)), "arcsec", parts=("a", "b"), keys=read)
-    distance = Unknown("distance", [[value] for value, _ in r.distance.values()], "mm", keys=r.distance)
+    distance = Unknown("distance", [[value] for value, _ in r.distance.values()], "mm", keys=list(r.distance))
     index = Unknown("vertical_index", r.index[0], "deg")
 
     table = np.repeat([0, 1], len(r.level_angle))
@@ -190,7 +190,7 @@ def _results(
         Quantity("point", point, *sight(*seen), yaw, index, unit="mm", parts=("y", "z"), keys=seen),
         Quantity(
             "line", line, *sight(*near), *sight(*far), yaw, index, crossing, unit="mm",
-            parts=("dx", "dy", "dz", "y", "z"), keys=axes),
+            parts=("dx", "dy", "dz", "y", "z"), keys=list(axes)),
         Quantity("square", square, *sight(*near_pitch), *sight(*far_pitch), yaw, index, unit="arcsec", keys=pitches),
         Quantity("square in plan", square_in_plan, *pitch, *roll, yaw, index, unit="arcsec"),
         Quantity("roll over pitch", height_between, *pitch, *roll, yaw, index, crossing, unit="mm"),
