@@ -21,12 +21,12 @@ def simplest_basis(directions: Array, weights: Array) -> Array:
     for k in range(len(basis)):
         rest = np.abs(basis[k:])
         rest[:, np.array(taken, dtype=int)] = 0.0
-        row, column = np.unravel_index(int(np.argmax(rest)), rest.shape)
+        row, column = (int(place) for place in np.unravel_index(int(np.argmax(rest)), rest.shape))
         basis[[k, k + row]] = basis[[k + row, k]]
         basis[k] /= basis[k, column]
         others = np.delete(np.arange(len(basis)), k)
         basis[others] -= np.outer(basis[others, column], basis[k])
-        taken.append(int(column))
+        taken.append(column)
     basis[np.abs(basis) < 1e-7] = 0.0
     return basis.T / weights[:, None]
 

@@ -49,7 +49,7 @@ def declare(
     angle: ArrayLike,
     reading: ArrayLike | None,
     u: ArrayLike | Gaussian,
-    table: Sequence[object] | None = None,
+    table: ArrayLike | None = None,
     applied_tilt: ArrayLike | None = None,
     covariates: dict[str, Any] | None = None,
     rows: ArrayLike | None = None,
@@ -63,7 +63,7 @@ def declare(
     tables.
     """
     angle = np.asarray(angle, float)
-    keys = ["table"] * len(angle) if table is None else [str(t) for t in table]
+    keys = ["table"] * len(angle) if table is None else [str(t) for t in np.asarray(table)]
     tables = list(dict.fromkeys(keys))
     index = np.array([tables.index(k) for k in keys])
     named = None if table is None else tables
@@ -199,6 +199,7 @@ def example(seed: int) -> Problem:
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job with simulated readings: {file name: text}. seed: of the errors."""
     observations = example(seed).observations[0]
+    assert observations.readings is not None
     lines = [
         "# source: simulated, two tables over 90 degrees, a known tilt applied half-way",
         "table,setup,block,direction,angle_deg,time_min,reading_arcsec",

@@ -42,7 +42,8 @@ class Convex(Method):
         return isinstance(self.loss, LeastSquares)
 
     def refusal(self, system: System) -> str | None:
-        for term in (*system.terms, *system.conditions):
+        terms: list[Term[Any]] = [*system.terms, *system.conditions]
+        for term in terms:
             why = _not_affine(term)
             if why is not None:
                 return f"{why}; use GaussNewton() or Ipopt()"
