@@ -80,7 +80,8 @@ def main(repetitions: int) -> None:
     lines = ["# Coverage of the twelve five-axis results", "",
              f"{repetitions} simulated repetitions of the paper's readings at its own result: share of the 95 % "
              "intervals that hold the truth, and root mean",
-             "square of error/u. u: as stated; u_vc: by the scatter found, Student's t. `python benchmarks/five_axis_coverage.py`", "",
+             "square of error/u. u: as stated; u_vc: by the scatter found, Student's t. "
+             "`python benchmarks/five_axis_coverage.py`", "",
              f"One share of {repetitions} has a standard error of {np.sqrt(0.95 * 0.05 / repetitions):.3f}.", "",
              "| procedure | readings scatter | interval by | " + " | ".join(results.ITEMS)
              + " | all | rms error/u | refused |",
