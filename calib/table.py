@@ -70,10 +70,11 @@ class Table:
         """Whether there is a column of this name (or with exactly this header)."""
         return any(name in (column.name, column.header) for column in self.columns)
 
-    def column(self, name: str) -> Column:
+    def column(self, name: str, header: str = "") -> Column:
         """The column of a name.
 
-        name: name without its unit, or the whole header where two columns share a name.
+        name: name without its unit, or the whole header where two columns share a name; header: how it may be written
+        where it is missing, for the message.
         return: the column.
         raises InputError where it is missing (with near names) or not unique.
         """
@@ -89,7 +90,7 @@ class Table:
         near = units.near_matches(name, list(self.names))
         hint = f"; did you mean '{near[0]}'?" if near else "."
         raise InputError(f"{self.path}, line {self.header_line}: column '{name}' is missing{hint} "
-                         f"Columns there: {headers}. Add the column, with its unit as in {name}_mm or {name} [mm]")
+                         f"Columns there: {headers}. Add the column{f', as in {header}' if header else ''}")
 
     def number(self, name: str, dimension: str = "number") -> np.ndarray:
         """The numbers of a column in SI.
@@ -99,7 +100,7 @@ class Table:
         return: (n,) values in SI.
         raises InputError for a missing column or unit, a wrong unit, an empty cell, NaN or text.
         """
-        column = self.column(name)
+        column = self.column(name, name if dimension == "number" else _example(name, dimension))
         where = f"{self.path}, line {self.header_line}, column '{column.header}'"
         unit = column.unit
         if unit is None:
@@ -264,8 +265,8 @@ def _split(path: Path, text: str) -> tuple[str, int, list[str], tuple[int, ...],
                     "decimal = \",\" for this table.")
             raise InputError(f"{path}, line {line}: {len(cells)} cells under a header of {len(header)} "
                              f"(line {header_line}): complete the line or mend its separators.{hint if comma else ''}")
-    lines, cells = tuple(line for line, _ in rows[1:]), tuple(tuple(row) for _, row in rows[1:])
-    return source, header_line, header, lines, cells
+    lines = tuple(line for line, _ in rows[1:])
+    return source, header_line, header, lines, tuple(tuple(row) for _, row in rows[1:])
 
 
 def _rows(content: Sequence[tuple[int, str]], separator: str) -> Iterator[tuple[int, list[str]]]:

@@ -58,6 +58,7 @@ def montecarlo(job: Path, trials: int, seed: int, method: str, problem_file: Pat
         scale = [units.factor(unit) for unit in found.units]
         names, its_units = np.array(found.names), np.array(found.units)
         np.savez_compressed(packed, samples=found.samples / scale, names=names, units=its_units)
+        output.say()
         output.wrote(
             files.write_json(output.path("montecarlo.json"), content),
             files.write_bytes(output.path("samples.npz"), packed.getvalue()),

@@ -49,7 +49,7 @@ class Output:
     def wrote(self, *paths: Path) -> None:
         """Name the files that were written."""
         if self.folder is not None:
-            self.say(f"\nwritten to {self.folder}: {', '.join(path.name for path in paths)}")
+            self.say(f"written to {self.folder}: {', '.join(path.name for path in paths)}")
 
     @contextmanager
     def progress(self, what: str, total: int) -> Iterator[Callable[[], None]]:

@@ -58,6 +58,7 @@ def solve(job: Path, method: str, problem_file: Path | None, output: Output) -> 
     output.result(content)
     say(output, solution)
     if output.folder is not None:
+        output.say()
         output.wrote(
             files.write_json(output.path("result.json"), content),
             observations.write(solution, output.path("observations.csv")),
