@@ -21,7 +21,7 @@ from calib import (
 from calib.effect import Effect, Parameter, direct
 from calib.errors import CalibrationError, MethodRefusal, RankDefect
 from calib.solve.convex import L1, Convex, Huber, LeastSquares, MinimumZone
-from calib.solve.ipopt import Ipopt
+from calib.solve.ipopt import GaussNewtonHessian, Ipopt
 
 LOSSES = (LeastSquares(), Huber(1.345), L1(), MinimumZone())
 
@@ -167,6 +167,20 @@ def test_least_squares_at_a_bound_and_an_inequality_agrees_with_ipopt():
     assert np.all(np.abs([one[offset] - other[offset], one[slope] - other[slope]]) <= 1e-8 * u)
     assert one[offset] + 0.5 * one[slope] == pytest.approx(2.2e-5, abs=1e-17)
     assert one.certificate.passed and other.certificate.passed
+
+
+@pytest.mark.parametrize("beyond", [0.0, 1e-9, -1e-9, 1e-7, -1e-7, 1e-5, -1e-5])
+def test_a_bound_that_only_just_touches_is_decided_alike_by_all_methods(beyond):
+    x, y = Unknown("x", 1.0, lower=0.0), Unknown("y", 0.0)
+    both = Observations(lambda a, b: a + b, x, y, readings=[1.0 + beyond, 1.0 + beyond], u=1.0, group="sum")
+    one = Observations(lambda b: b, y, readings=[1.0], u=1.0, group="one")
+    # where x is at its bound, two of three equal readings ask y for 1 + beyond
+    expected = (max(beyond, 0.0), 1.0 + min(beyond, 0.0) * 2 / 3)
+    for method in (GaussNewton(), Ipopt(), Ipopt(GaussNewtonHessian()), Convex()):
+        found = solve(Problem([both, one]), method)
+        assert found.certificate.passed, (method, found.certificate.why)
+        assert (found[x], found[y]) == pytest.approx(expected, rel=0.0, abs=1e-14)
+        assert (found[x] == 0.0) == (beyond <= 0.0)
 
 
 def test_contradictory_limits_are_named():

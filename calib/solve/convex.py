@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from calib.blocks import Array
 from calib.elimination import sparse_rows
 from calib.errors import CalibrationError, MethodRefusal
 from calib.layout import Layout
-from calib.observations import Constraint
+from calib.solve.affine import Limits, not_affine, within
+from calib.solve.limits import WRONG, set_to_bounds
 from calib.solve.loss import L1, Huber, LeastSquares, Loss, MinimumZone
 from calib.solve.method import Method, Outcome, missing_readings
 from calib.system import System, Term, Values
@@ -23,6 +23,7 @@ __all__ = ["L1", "Convex", "Huber", "LeastSquares", "Loss", "MinimumZone"]
 
 LARGEST = 50_000_000      # readings times unknowns that are still worked on as one dense matrix
 TIGHT = 1e-11             # of Clarabel: gap and feasibility
+CROSSED = 1e-12           # how far, in conditional standard uncertainties, rounding may carry beyond a limit
 WORST = 1e-9              # relative loss that refining may add by rounding
 
 
@@ -44,7 +45,7 @@ class Convex(Method):
     def refusal(self, system: System) -> str | None:
         terms: list[Term[Any]] = [*system.terms, *system.conditions]
         for term in terms:
-            why = _not_affine(term)
+            why = not_affine(term)
             if why is not None:
                 return f"{why}; use GaussNewton() or Ipopt()"
         if self.loss.separates_correlated:
@@ -64,25 +65,25 @@ class Convex(Method):
         norm = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=0)).ravel())
         scale = 1.0 / np.where(norm > 0, norm, 1.0)
         derivatives = matrix.toarray() * scale
-        limits = _Limits.of(system, start, scale)
+        limits = Limits.of(system, start, scale)
         centre = np.linalg.lstsq(derivatives, residual, rcond=None)[0]
         away = residual - derivatives @ centre
         step, active, status, iterations = self._solved(derivatives, away, limits.moved(centre))
         x = centre + step
         values = _moved(layout, start, x * scale)
         there = _whitened_as_predicted(system, values, weightings, residual - derivatives @ x, residual)
-        change = self._refined(derivatives, there, limits.moved(x), active)
-        if change is not None:
-            values = _moved(layout, values, change * scale)
+        refined = self._refined(derivatives, there, limits.moved(x), active)
+        if refined is not None:
+            values = set_to_bounds(layout, _moved(layout, values, refined[0] * scale), limits.side(refined[1]))
             there = system.whitened(values, weightings)
-        gap, unique = self._gap(derivatives, there, _Limits.of(system, values, scale))
+        gap, unique = self._gap(derivatives, there, Limits.of(system, values, scale))
         message = f"converged: {status}" if status == "optimal" or gap <= WORST else f"Clarabel stopped: {status}"
         if not unique:
             message += "; other answers have the same loss, and this is one of them"
         return Outcome(values, status == "optimal" or gap <= WORST, iterations, message, gap,
                        {"loss": self.loss.value(there), "unique": float(unique)})
 
-    def _solved(self, derivatives: Array, residual: Array, limits: _Limits) -> tuple[Array, Array, str, int]:
+    def _solved(self, derivatives: Array, residual: Array, limits: Limits) -> tuple[Array, Array, str, int]:
         """Step (p,), which inequalities hold with equality, Clarabel's word and its steps."""
         import cvxpy
         x = cvxpy.Variable(derivatives.shape[1])
@@ -101,17 +102,31 @@ class Convex(Method):
         active = slack < np.asarray(unequal[0].dual_value, float).ravel() if unequal else np.zeros(0, bool)
         return step, active, str(program.status), int(program.solver_stats.num_iters or 0)
 
-    def _refined(self, derivatives: Array, residual: Array, limits: _Limits, active: Array) -> Array | None:
-        """The last step (p,), to rounding, of what the interior point left open; None where it would not improve."""
-        conditions = np.concatenate([limits.fixed, limits.above[active]])
-        target = np.concatenate([limits.target, limits.room[active]])
-        onto, basis = _within(conditions, target)
-        step = onto + basis @ self.loss.refined(derivatives @ basis, residual - derivatives @ onto)
-        before, after = self.loss.value(residual), self.loss.value(residual - derivatives @ step)
-        kept = after <= before + WORST * max(before, 1.0) and np.all(limits.above @ step <= limits.room + 1e-9)
-        return step if kept else None
+    def _refined(self, derivatives: Array, residual: Array, limits: Limits, active: Array
+                 ) -> tuple[Array, Array] | None:
+        """The last step (p,) to rounding that the interior point left open, and what holds then; None if no better."""
+        active = active.copy()
+        for _ in range(4 * len(residual)):
+            conditions = np.concatenate([limits.fixed, limits.above[active]])
+            onto, basis = within(conditions, np.concatenate([limits.target, limits.room[active]]))
+            step = onto + basis @ self.loss.refined(derivatives @ basis, residual - derivatives @ onto)
+            after = residual - derivatives @ step
+            crossed = ~active & (limits.above @ step > limits.room + CROSSED)
+            dual = self.loss.dual(after)
+            pushes = np.zeros(0)
+            if len(conditions) and not np.any(dual.low < dual.high):
+                pushes = np.linalg.lstsq(conditions.T, derivatives.T @ dual.value, rcond=None)[0][len(limits.target):]
+            if np.any(crossed):
+                active |= crossed
+            elif np.min(pushes, initial=0.0) < -WRONG:
+                active[np.flatnonzero(active)[np.argmin(pushes)]] = False
+            else:
+                break
+        before = self.loss.value(residual)
+        kept = self.loss.value(after) <= before + WORST * max(before, 1.0) and not np.any(crossed)
+        return (step, active) if kept else None
 
-    def _gap(self, derivatives: Array, residual: Array, limits: _Limits) -> tuple[float, bool]:
+    def _gap(self, derivatives: Array, residual: Array, limits: Limits) -> tuple[float, bool]:
         """Relative gap to a lower bound from multipliers fitted afresh (Fenchel), and whether the answer is unique."""
         from scipy.optimize import lsq_linear
         active = limits.above[limits.room <= 1e-6]
@@ -136,7 +151,7 @@ class Convex(Method):
             size = max(float(np.abs(multiplier).sum()) / dual.total, 1.0)
             multiplier, pressed, pull = multiplier / size, pressed / size, pull / size
         value = self.loss.value(residual)
-        _, basis = _within(limits.fixed, limits.target)
+        _, basis = within(limits.fixed, limits.target)
         remaining = np.linalg.lstsq((derivatives @ basis).T, basis.T @ pull, rcond=None)[0]
         slack = limits.room[limits.room <= 1e-6]
         gap = value + self.loss.conjugate(multiplier) - float(multiplier @ residual)       # of Fenchel and Young
@@ -144,7 +159,7 @@ class Convex(Method):
         gap += float(np.linalg.norm(remaining)) * self.loss.reach(value, len(residual))
         return float(max(gap, 0.0) / max(value, 1.0)), self._is_unique(derivatives, residual, limits)
 
-    def _is_unique(self, derivatives: Array, residual: Array, limits: _Limits) -> bool:
+    def _is_unique(self, derivatives: Array, residual: Array, limits: Limits) -> bool:
         """Whether the residuals that hold the answer leave no direction free."""
         held = self.loss.holding(residual)
         rows = derivatives[held]
@@ -155,71 +170,10 @@ class Convex(Method):
         return int(np.linalg.matrix_rank(np.concatenate([rows, holds]), tol=1e-9)) == rows.shape[1]
 
 
-@dataclass(frozen=True)
-class _Limits:
-    """Conditions on a scaled step x (p,): fixed x = target and above x <= room."""
-
-    fixed: Array
-    target: Array
-    above: Array
-    room: Array
-    names: str
-
-    @staticmethod
-    def of(system: System, values: Values, scale: Array) -> _Limits:
-        layout, size = system.layout, len(scale)
-        fixed, target, above, room = [np.zeros((0, size))], [np.zeros(0)], [np.zeros((0, size))], [np.zeros(0)]
-        for term in system.conditions:
-            constraint = term.bound
-            assert isinstance(constraint, Constraint)
-            value, parts = term.derive(values)
-            slope = np.zeros((term.n, term.dim, size + 1))
-            for part in parts:
-                place = layout.position[part.columns]
-                for f in range(place.shape[1]):
-                    slope[np.arange(term.n), :, place[:, f]] += part.jacobian[:, :, f]
-            slope = slope[:, :, :size].reshape(-1, size) * scale
-            unit = np.linalg.norm(slope, axis=1)
-            unit = np.where(unit > 0, unit, constraint.tolerance)
-            low, high = (np.broadcast_to(limit, value.shape).ravel() - value.ravel()
-                         for limit in (constraint.lower, constraint.upper))
-            equal = low == high
-            fixed.append((slope / unit[:, None])[equal])
-            target.append((high / unit)[equal])
-            for sign, limit in ((1.0, high), (-1.0, -low)):
-                there = np.isfinite(limit) & ~equal
-                above.append(sign * (slope / unit[:, None])[there])
-                room.append((limit / unit)[there])
-        for sign, limit in zip((-1.0, 1.0), layout.bounds(values), strict=True):
-            free = limit[layout.free_columns] / scale
-            there = np.isfinite(free)
-            above.append(sign * np.eye(size)[there])
-            room.append(sign * free[there])
-        names = ", ".join(f"'{t.bound.name}'" for t in system.conditions)
-        return _Limits(np.concatenate(fixed), np.concatenate(target), np.concatenate(above), np.concatenate(room),
-                       f"look at {names}" if names else "look at the bounds")
-
-    def moved(self, x: Array) -> _Limits:
-        """The same, seen from x."""
-        return _Limits(self.fixed, self.target - self.fixed @ x, self.above, self.room - self.above @ x, self.names)
-
-
-def _within(conditions: Array, target: Array) -> tuple[Array, Array]:
-    """The smallest step (p,) onto conditions, and a basis (p, q) of the steps within them."""
-    if not len(target):
-        return np.zeros(conditions.shape[1]), np.eye(conditions.shape[1])
-    _, values, right = np.linalg.svd(conditions)
-    rank = int(np.sum(values > 1e-12 * max(values[0], 1.0)))
-    return np.asarray(np.linalg.lstsq(conditions, target, rcond=None)[0], float), right[rank:].T
-
-
 def _moved(layout: Layout, values: Values, step: Array) -> dict[Any, Array]:
     full = np.zeros(layout.size)
     full[layout.free_columns] = step
-    moved = layout.move(values, full)
-    # a bound that holds does so exactly: rounding must not put the answer beside it
-    return {u: np.clip(v, u.lower, u.upper) if u.kind == "vector" and layout.free[layout.span(u)].any() else v
-            for u, v in moved.items()}
+    return set_to_bounds(layout, layout.move(values, full), np.zeros(len(step), dtype=np.int8))
 
 
 def _whitened_as_predicted(system: System, values: Values, weightings: Sequence[Weighting], expected: Array,
@@ -232,31 +186,3 @@ def _whitened_as_predicted(system: System, values: Values, weightings: Sequence[
         raise MethodRefusal(f"convex does not accept {system.problem.name}: between the start values and the answer a "
                             "prediction is not affine or a periodic reading changes its period; use GaussNewton()")
     return found
-
-
-def _not_affine(term: Term) -> str | None:
-    """A sentence naming the arguments of a term whose free part enters other than affinely."""
-    symbols = term.traced.symbols
-    free = [(source.name, feed.unknown, local) for source, feed, local, want in
-            zip(term.traced.sources, term.feeds, symbols.local, term.any_free, strict=True) if want]
-    if not free:
-        return None
-    # held parameters of effects stand at zero: what they multiply is not there
-    resting = [(ambient, local) for feed, ambient, local, want in
-               zip(term.feeds, symbols.ambient, symbols.local, term.any_free, strict=True)
-               if feed.unknown is not None and not want and not np.any(feed.unknown.ambient)]
-    prediction = term.traced.prediction
-    if resting:
-        zero = [s for pair in resting for s in pair]
-        prediction = ca.substitute([prediction], zero, [ca.SX.zeros(s.shape) for s in zero])[0]
-    bent = ca.which_depends(prediction, ca.vertcat(*[local for *_, local in free]), 2, False)
-    names, begin = [], 0
-    for name, unknown, local in free:
-        if any(bent[begin:begin + local.shape[0]]):
-            kind = "" if unknown is None or unknown.kind == "vector" else f", a {unknown.kind}"
-            names.append(f"'{name}'" if unknown is None else f"'{name}' (unknown '{unknown.name}'{kind})")
-        begin += local.shape[0]
-    if not names:
-        return None
-    return (f"{term.bound.what} '{term.bound.name}': the model {term.bound.model_name} is not affine in "
-            f"argument{'s' if len(names) > 1 else ''} {' and '.join(names)}")

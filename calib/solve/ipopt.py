@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.blocks import Array, Block
 from calib.layout import Layout
 from calib.observations import Constraint
+from calib.solve.limits import Side, only_pinned, pinned, revised, set_to_bounds, touched
 from calib.solve.method import Method, Outcome, missing_readings
 from calib.solve.transcription import Transcription
 from calib.system import System, Values
@@ -65,7 +65,7 @@ class Ipopt(Method):
         active = _Active.none(len(system.layout.free_columns), program.transcription.condition_count)
         total, size = 0, np.inf
         for _ in range(SEARCHES):
-            run = program.run(search, values, active)
+            run = program.run(search, values, active, pinned, _at_rest)
             total += run.iterations
             if not run.finite:
                 return Outcome(dict(values), False, total, f"IPOPT stopped: {run.status}")
@@ -75,7 +75,7 @@ class Ipopt(Method):
         status = run.status
         limit, last = max(SETTLED, program.rounding(values)), np.inf
         for _ in range(POLISHES if run.status in FINISHED else 0):
-            run = program.run(polish, values, active)
+            run = program.run(polish, values, active, only_pinned, revised)
             total += run.iterations
             if not run.finite:
                 break
@@ -96,16 +96,20 @@ class Ipopt(Method):
 _QUIET = {"nlp_scaling_method": "none", "bound_relax_factor": 0.0, "honor_original_bounds": "yes",
           "print_level": 0, "sb": "yes"}
 # Near the answer rounding hides any decrease of the objective: steps are taken as they come and judged by their size.
-_POLISHING = {**_QUIET, "tol": 1e-300, "acceptable_iter": 0, "max_iter": 2, "accept_every_trial_step": "yes",
-              "mu_init": 1e-11, "bound_push": 1e-12, "bound_frac": 1e-12}
+# Limits are then equations or absent, so that no barrier is left.
+_POLISHING = {**_QUIET, "tol": 1e-300, "acceptable_iter": 0, "max_iter": 2, "accept_every_trial_step": "yes"}
+
+
+def _at_rest(side: Side, value: Array, low: Array, high: Array, push: Array) -> Side:
+    return touched(value, low, high, push)
 
 
 @dataclass(frozen=True)
 class _Active:
-    """Bounds (p,) and conditions (m,) that hold with equality: -1 the lower, +1 the upper, 0 none."""
+    """Bounds (p,) and conditions (m,) that hold with equality."""
 
-    bounds: NDArray[np.int8]
-    conditions: NDArray[np.int8]
+    bounds: Side
+    conditions: Side
 
     @staticmethod
     def none(unknowns: int, conditions: int) -> _Active:
@@ -113,18 +117,6 @@ class _Active:
 
     def same(self, other: _Active) -> bool:
         return np.array_equal(self.bounds, other.bounds) and np.array_equal(self.conditions, other.conditions)
-
-
-def _touched(value: Array, low: Array, high: Array, multiplier: Array) -> NDArray[np.int8]:
-    """Which limits hold: an interior point stops short of a limit by the barrier over its multiplier."""
-    at_low = (value - low < -multiplier) & (low < high)
-    at_high = (high - value < multiplier) & (low < high)
-    return at_high.astype(np.int8) - at_low.astype(np.int8)
-
-
-def _pinned(low: Array, high: Array, touched: NDArray[np.int8]) -> tuple[Array, Array]:
-    """Limits that leave no room where they hold."""
-    return np.where(touched > 0, high, low), np.where(touched < 0, low, high)
 
 
 @dataclass(frozen=True)
@@ -159,20 +151,23 @@ class _Program:
             **self.transcription.functions, "ipopt": options, "print_time": False, "show_eval_warnings": False,
             "calc_lam_x": True})
 
-    def run(self, solver: ca.Function, values: Values, active: _Active) -> _Run:
-        """One run from stored values; limits known to be active are kept as equations."""
+    def run(self, solver: ca.Function, values: Values, active: _Active, room: Callable[..., tuple[Array, Array]],
+            after: Callable[..., Side]) -> _Run:
+        """One run from stored values.
+
+        active: limits that hold; room: what the solver is given as limits; after: the limits that hold then.
+        """
         layout = self.system.layout
         blocks = self.system.blocks(values, self._weightings)
         scale = _conditional_uncertainty(blocks, layout)
-        lower, upper = (room[layout.free_columns] / scale for room in layout.bounds(values))
+        lower, upper = (limit[layout.free_columns] / scale for limit in layout.bounds(values))
         low, high, unit = self._limits(values, scale)
         readings = []
         for term in self.system.terms:
             predicted = term.predict(values)
             readings.append((predicted + self.system.residual(term, predicted)).ravel())
         stored = [r.stored(values).ravel(order="F") for r in (*self.transcription.rows, *self.transcription.conditions)]
-        lbx, ubx = _pinned(lower, upper, active.bounds)
-        lbg, ubg = _pinned(low, high, active.conditions)
+        (lbx, ubx), (lbg, ubg) = room(lower, upper, active.bounds), room(low, high, active.conditions)
         found = solver(x0=np.clip(np.zeros(len(scale)), lbx, ubx), p=np.concatenate([scale, unit, *readings, *stored]),
                        lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg)
         x, pull, push, value = (np.array(found[k]).ravel() for k in ("x", "lam_x", "lam_g", "g"))
@@ -181,9 +176,10 @@ class _Program:
         step[layout.free_columns] = np.clip(x, lower, upper) * scale
         finite = bool(np.all(np.isfinite(x)))
         turns = [float(np.abs(step[layout.span(u)]).max()) for u in layout.unknowns if u.kind != "vector"]
-        touched = _Active(_touched(x, lower, upper, pull), _touched(value, low, high, push))
-        return _Run(layout.move(values, step) if finite else dict(values), touched, _size(blocks, step),
-                    max(turns, default=0.0), int(statistics["iter_count"]), str(statistics["return_status"]), finite)
+        then = _Active(after(active.bounds, x, lower, upper, pull), after(active.conditions, value, low, high, push))
+        moved = set_to_bounds(layout, layout.move(values, step), then.bounds) if finite else dict(values)
+        return _Run(moved, then, _size(blocks, step), max(turns, default=0.0), int(statistics["iter_count"]),
+                    str(statistics["return_status"]), finite)
 
     def _limits(self, values: Values, scale: Array) -> tuple[Array, Array, Array]:
         """Limits of the conditions and the units they are counted in: what a step of conditional u changes."""
