@@ -346,6 +346,9 @@ def test_a_pose_without_tracker_and_a_job_without_targets_still_stand(tmp_path):
     (",axis,A,", ",axes,A,", "'axes' is neither 'axis' nor 'target'"),
     (",axis,C,", ",axis,D,", "locator 'D', which the setup does not know"),
     (",target,t2,", ",target,t9,", "target 't9'"),
+    ("v1_mm,v2_mm,v3_mm", "v1_m,v2_m,v3_m", r"measurements.csv: row 1: axis . of locator 'A' reads .* unit"),
+    ("x = 300.0", "x = 3.0", "far outside its half range of 3.0 mm"),
+    ("v1_mm,v2_mm,v3_mm", "v1_mm,v3_mm,v2_mm", "targets do not fit the part at all"),
     ('id = "B"', 'idd = "B"', "known.locators"),
     ("abbe_height_mm", "abbe_height_deg", "abbe_height")])
 def test_a_job_with_a_mistake_says_what_to_mend(tmp_path, old, new, message):

@@ -55,10 +55,10 @@ def measure(part: Sequence[Transform], seed: int, truth: Mapping[str, ArrayLike]
     further: effects beyond the named ones that `truth` speaks of; noise: whether errors are drawn; checks: how many
     poses at the end are for checking only.
     """
-    axes, targets = _conditions(setup, len(part), seed, checks)
+    axes, targets = _nominal(setup, part, seed, checks)
     values: dict[Any, Any] = {"part": list(part), "tracker": TRACKER, **(truth or {})}
     # Errors are taken at the travel that is read, so the travel has to come first.
-    for last in (False, False, True):
+    for last in (False, True):
         problem = declare(setup, axes, targets, u_axis=U_AXIS, u_tracker=U_TRACKER).with_effects(*further)
         readings = _drawn(problem, values, seed) if last and noise else predict(problem, values)
         axes = replace(axes, values=_by_row(axes, setup, readings))
@@ -73,14 +73,22 @@ def drive(commanded: Sequence[Transform], seed: int, truth: Mapping[str, ArrayLi
     Joints that give way alike let the part take the pose nearest to all nine; the axes read the travels without noise.
     Arguments as for `measure`, commanded poses in the place of true ones. The part of the campaign is where it went.
     """
-    axes, targets = _conditions(setup, len(commanded), seed, checks)
-    nominal = declare(setup, axes, None, u_axis=U_AXIS)
-    axes = replace(axes, values=_by_row(axes, setup, predict(nominal, {"part": list(commanded)})))
+    axes, targets = _nominal(setup, commanded, seed, checks)
     driven = declare(setup, axes, None, u_axis=U_AXIS).with_effects(*further)
     part = solve(driven, start=truth)["part"]
     problem = declare(setup, axes, targets, u_axis=U_AXIS, u_tracker=U_TRACKER)
     readings = _drawn(problem, {"part": list(part), "tracker": TRACKER}, seed)
     return Campaign(setup, axes, replace(targets, values=readings[TARGETS]), tuple(part), TRACKER)
+
+
+def _nominal(setup: Setup, part: Sequence[Transform], seed: int, checks: int) -> tuple[Readings, Readings]:
+    """Axis and target readings of poses without errors."""
+    axes, targets = _conditions(setup, len(part), seed, checks)
+    predicted = predict(declare(setup, axes, None, u_axis=U_AXIS), {"part": list(part)})
+    points = [TRACKER @ (part[i - 1] @ np.array(setup.targets[key])) for i, key in zip(targets.pose, targets.item,
+                                                                                       strict=True)]
+    return (replace(axes, values=_by_row(axes, setup, predicted)),
+            replace(targets, values=laser_tracker.polar_readings(np.array(points))))
 
 
 def _conditions(setup: Setup, n: int, seed: int, checks: int) -> tuple[Readings, Readings]:

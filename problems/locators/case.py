@@ -83,12 +83,17 @@ def _declared(job: Job, setup: Setup, with_tracker: bool) -> Problem:
     if not len(axes.rows):
         raise InputError(f"{table.path}: no row of kind 'axis'; the readings of the locators are missing. Add them.")
     u_axis = job.instruments.table("locator").quantity("sigma_axis", "length")
-    if not with_tracker or not len(targets.rows):
-        return declare(setup, axes, None, u_axis=u_axis)
-    tracker = job.instruments.table("tracker")
-    u_tracker = [tracker.quantity(f"sigma_{name}", kind) for name, kind in
-                 (("range", "length"), ("azimuth", "angle"), ("zenith", "angle"))]
-    return declare(setup, axes, targets, u_axis=u_axis, u_tracker=u_tracker)
+    u_tracker = ()
+    if len(targets.rows) or "tracker" in job.instruments:
+        tracker = job.instruments.table("tracker")
+        u_tracker = [tracker.quantity(f"sigma_{name}", kind) for name, kind in
+                     (("range", "length"), ("azimuth", "angle"), ("zenith", "angle"))]
+    try:
+        if not with_tracker or not len(targets.rows):
+            return declare(setup, axes, None, u_axis=u_axis)
+        return declare(setup, axes, targets, u_axis=u_axis, u_tracker=u_tracker)
+    except InputError as error:
+        raise InputError(f"{table.path}: {error}") from None
 
 
 def _with_poses(problem: Problem) -> Problem:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from calib import Observations, Pose, Problem, Quantity, Shared
 from calib.errors import InputError
 from calib.geometry import Transform
-from calib.units import arcsec, um
+from calib.units import arcsec, mm, um
 from instruments import laser_tracker
 from problems.locators.errors import AXES, SHIFTS, TURNS, Frames
 from problems.locators.kinematics import readings_of, target_reading
@@ -23,6 +23,8 @@ from problems.locators.vocabulary import TARGETS, axis_group, effects
 
 TRACKER_UNITS = ("um", "arcsec", "arcsec")
 TRACKER_COMPONENTS = ("range", "azimuth", "zenith")
+FAR = 10.0           # half ranges: a reading beyond is of another unit
+STRANGE = 0.05       # share of the size of the part: targets that miss by more are other targets, axes or units
 
 
 @dataclass(frozen=True)
@@ -151,7 +153,16 @@ def _target_observations(setup: Setup, targets: Readings, part_pose: Pose, poses
     index = np.searchsorted(poses, targets.pose)
     in_part = np.array([setup.targets[key] for key in targets.item], dtype=float)
     in_hall = np.array([start[i] @ point for i, point in zip(index, in_part, strict=True)])
-    near = rigid_fit(in_hall, laser_tracker.cartesian_readings(targets.values))
+    seen = laser_tracker.cartesian_readings(targets.values)
+    near = rigid_fit(in_hall, seen)
+    misfit = np.linalg.norm(near @ in_hall - seen, axis=1)
+    size = np.sqrt(np.mean(np.sum((in_hall - in_hall.mean(0)) ** 2, axis=1)))
+    unread = float(np.linalg.norm(setup.half_range)) if setup.axes else 0.0     # start poses know nothing of these axes
+    if len(seen) > 3 and np.median(misfit) > STRANGE * size + unread:
+        raise InputError(f"the coordinates of the targets do not fit the part at all: half of them are more than "
+                         f"{np.median(misfit) / mm:.0f} mm off in a part of {size / mm:.0f} mm; look at their unit, "
+                         f"at the "
+                         "order of the columns and at the names of the targets.")
     tracker = Pose("tracker", near.rotation, near.translation, "mm", "arcsec")
     return Observations(target_reading, part_pose[index], tracker, in_part, readings=targets.values, u=u, group=TARGETS,
                         unit=TRACKER_UNITS, components=TRACKER_COMPONENTS, period=laser_tracker.PERIOD,
@@ -163,17 +174,25 @@ def _check(setup: Setup, axes: Readings, targets: Readings | None) -> None:
                                   ("target", targets, list(setup.targets))):
         if readings is None:
             continue
-        strange = sorted(set(map(str, readings.item)) - set(known))
+        strange = [i for i, item in enumerate(readings.item) if str(item) not in known]
         if strange:
-            raise InputError(f"readings of {kind} '{strange[0]}', which the setup does not know; it knows "
+            raise InputError(f"row {readings.rows[strange[0]]} is of {kind} '{readings.item[strange[0]]}', which the "
+                             f"setup does not know; it knows "
                              f"{', '.join(known)}: add the {kind} or mend its name.")
     silent = [locator.key for locator in setup.locators
               if setup.axes_of(locator.key) and not np.any(axes.item == locator.key)]
     if silent:
         raise InputError(f"locator '{silent[0]}' has no axis readings; give them, or leave the locator out of the "
                          "setup.")
+    far = np.argwhere(np.abs(axes.values) > FAR * np.asarray(setup.half_range))
+    if len(far):
+        row, axis = far[0]
+        raise InputError(f"row {axes.rows[row]}: axis {AXES[axis]} of locator '{axes.item[row]}' reads "
+                         f"{axes.values[row, axis] / mm:.1f} mm, far outside its half range of "
+                         f"{setup.half_range[axis] / mm:.1f} mm; look at the unit of the readings or mend the range.")
     if targets is not None:
-        lost = sorted(set(targets.pose.tolist()) - set(axes.pose.tolist()))
-        if lost:
-            raise InputError(f"pose {lost[0]} has target readings but no axis readings; give both or leave the pose "
-                             "out.")
+        lost = np.flatnonzero(~np.isin(targets.pose, axes.pose))
+        if len(lost):
+            raise InputError(f"row {targets.rows[lost[0]]}: pose {targets.pose[lost[0]]} has target readings but no "
+                             f"axis "
+                             "readings; give both or leave the pose out.")
