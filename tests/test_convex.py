@@ -239,6 +239,21 @@ def test_correlated_readings_are_refused_by_losses_that_depend_on_the_whitening(
     assert solve(problem, Convex()).certificate.passed
 
 
+def test_a_covariance_matrix_without_correlations_is_no_hindrance():
+    point = Unknown("point", (0.0, 0.0), "m")
+    readings = [[0.0, 0.0], [1.0, 0.1], [0.0, 5.0]]
+    problem = Problem([Observations(lambda p: p, point, readings=readings, u=Gaussian.matrix(np.diag([1.0, 4.0])))])
+    np.testing.assert_allclose(solve(problem, Convex(L1()))[point], [0.0, 0.1], atol=1e-15)
+
+
+def test_a_held_part_makes_a_product_affine_in_the_other():
+    pair = Unknown("pair", (2.0, 3.0), parts=("gain", "value"))
+    problem = Problem([Observations(lambda p: p[0] * p[1], pair, readings=[7.0], u=0.1, group="product")])
+    assert solve(problem.hold(pair.part("gain")), Convex())[pair][1] == pytest.approx(3.5, rel=1e-15)
+    with pytest.raises(MethodRefusal, match=r"'product'.*'pair'"):
+        solve(problem, Convex())
+
+
 def test_missing_readings_and_unseen_directions_are_refused():
     problem, *_ = straightness(np.zeros(5), np.arange(5.0))
     with pytest.raises(MethodRefusal, match="no readings"):

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.blocks import Array
+from calib.layout import Layout
 from calib.observations import Constraint
 from calib.solve.limits import Side
 from calib.system import System, Term, Values
 
 
-def not_affine(term: Term) -> str | None:
-    """A sentence naming the arguments of a term whose free part enters other than affinely."""
+def not_affine(term: Term[Any], layout: Layout) -> str | None:
+    """A sentence naming the arguments of a term whose free part does not enter affinely; None where all does."""
     symbols = term.traced.symbols
-    free = [(source.name, feed.unknown, local) for source, feed, local, want in
-            zip(term.traced.sources, term.feeds, symbols.local, term.any_free, strict=True) if want]
+    free = [(source.name, feed.unknown, local[np.flatnonzero(layout.free[columns].any(axis=0)).tolist()])
+            for source, feed, local, columns, want in
+            zip(term.traced.sources, term.feeds, symbols.local, term.columns, term.any_free, strict=True) if want]
     if not free:
         return None
     # held parameters of effects stand at zero: what they multiply is not there

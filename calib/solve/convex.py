@@ -45,13 +45,14 @@ class Convex(Method):
     def refusal(self, system: System) -> str | None:
         terms: list[Term[Any]] = [*system.terms, *system.conditions]
         for term in terms:
-            why = not_affine(term)
+            why = not_affine(term, system.layout)
             if why is not None:
                 return f"{why}; use GaussNewton() or Ipopt()"
         if self.loss.separates_correlated:
             start = system.layout.start()
             for term, weighting in zip(system.terms, system.weightings(start), strict=True):
-                if any(mixing.matrix.ndim != 2 for mixing in weighting.whitening):
+                mixed = [m.matrix for m in weighting.whitening if m.matrix.ndim == 3]
+                if any(np.count_nonzero(matrix, axis=2).max() > 1 for matrix in mixed):
                     return (f"{term.bound.what} '{term.bound.name}' have correlated errors, for which "
                             f"{type(self.loss).__name__} has no single meaning; use LeastSquares()")
         return missing_readings(system.problem)
