@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib import GaussNewton, covariance, linearise, predict, simulate, solve
-from calib.errors import InputError
+from calib.errors import InputError, RankDefect
 from calib.job import Job
 from calib.table import shipped
 from calib.units import arcsec, mm
@@ -229,3 +229,41 @@ def test_without_the_two_axis_pitch_targets_the_other_results_stand():
         assert not any("two_axis_pitch" in name for name in c.names)
         place = "square to the plumb line[pitch]" if problem.name.endswith("jointly") else "square[pitch]"
         assert np.isfinite(c[place][1])
+
+
+def turned(circle, by):
+    """Readings of a circle with the horizontal circle turned."""
+    reading = circle.reading + (by if circle.reading.ndim == 1 else np.array([by, 0.0]))
+    return dataclasses.replace(circle, reading=reading % (2 * np.pi))
+
+
+def test_a_horizontal_circle_whose_zero_lies_between_the_targets_gives_the_same_results():
+    r = published()
+    by = -fits().step.stated["reading[A H]"][0]       # the zero falls between the readings of A
+    moved = dataclasses.replace(
+        r, wires=turned(r.wires, by), pitch=turned(r.pitch, by), roll=turned(r.roll, by),
+        centre={t: ((h + by) % (2 * np.pi), v, u) for t, (h, v, u) in r.centre.items()})
+    assert np.ptp(moved.pitch.reading[:, 0]) > 6
+    problems = (step_by_step.declare(moved), joint.declare(moved, Sharing("ABCD")))
+    for fit, problem in zip((fits().step, fits().joint), problems, strict=True):
+        found = results.Fit.of(problem)
+        for name in (n for n in fit.stated.names if "reading" not in n):
+            value, u = fit.stated[name]
+            assert found.stated[name] == pytest.approx((value, u), abs=1e-5 * u), name
+
+
+def test_a_target_far_off_the_axes_is_named():
+    r = published()
+    with pytest.raises(InputError, match=r"target A is read at 95.50 deg, H along the axes is 185.49 deg"):
+        joint.declare(dataclasses.replace(r, pitch=turned(r.pitch, -np.pi / 2)), Sharing("ABCD"))
+
+
+def test_too_few_positions_to_test_sharing_say_how_to_go_on(tmp_path):
+    files = five_axis.example_job(3)
+    lines = files["table4_roll.csv"].splitlines()
+    files["table4_roll.csv"] = "\n".join([*lines[:4], *lines[6:8]]) + "\n"        # two positions of C and of D
+    path = write(tmp_path, files)
+    with pytest.raises(RankDefect, match=r"cannot be tested.*shared = .all"):
+        five_axis.from_job(Job.read(path))
+    path.write_text(files["job.toml"].replace('shared = "tested"', 'shared = "all"'), encoding="utf-8")
+    assert solve(five_axis.from_job(Job.read(path))).certificate.passed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from calib import Effect, Problem, simulate, solve
+from calib.errors import RankDefect
 from calib.job import Job
 from calib.table import Table, shipped
 from calib.units import arcsec, degree
@@ -76,7 +77,9 @@ def remarks(job: Job) -> tuple[str, ...]:
 def _readings(job: Job) -> Readings:
     index = (job.options.quantity("index", "angle", 90 * degree), job.options.quantity("u_index", "angle", 1 * arcsec))
     u_level, u_circle = (job.instrument(table).uncertainty("u", "angle")[0] for table in ("level", "pitch"))
-    return from_tables(job.tables, index=index, u_level=u_level, u_circle=u_circle)
+    optional = [name for name in ("centres", "feet") if name in job.tables]
+    tables = {name: job.table(name) for name in (*(set(FILES) - {"centres"}), *optional)}
+    return from_tables(tables, index=index, u_level=u_level, u_circle=u_circle)
 
 
 def _up(job: Job) -> int:
@@ -91,8 +94,18 @@ def declare(readings: Readings, *, shared: str = "tested", up: int = -1) -> Prob
     Returns the problem with its effects as held candidates.
     """
     targets = [*dict.fromkeys((*readings.pitch.target, *readings.roll.target))]
-    circles = {"all": targets, "none": []}.get(shared)
-    problem = joint.declare(readings, Sharing(results.accepted(readings) if circles is None else circles, up=up))
+    if shared == "tested":
+        try:
+            circles = results.accepted(readings)
+        except RankDefect as error:
+            raise RankDefect(
+                "whether the circles of a target may be shared cannot be tested, because each circle by itself cannot "
+                f'be fitted: take it for granted with shared = "all" in [options], or read more positions. {error}',
+                error.directions,
+            ) from error
+    else:
+        circles = targets if shared == "all" else []
+    problem = joint.declare(readings, Sharing(circles, up=up))
     return problem.with_effects(*effects())
 
 

@@ -24,7 +24,7 @@ from instruments import theodolite
 from instruments.stated import rectangular
 
 from . import world
-from .formulas import parallelism
+from .formulas import axis_point, line_through, parallelism
 from .readings import INSTRUMENTS, NEAR_AND_FAR, SIGHTS, TABLES, WIRES, Circle, Readings
 
 AXES = ("pitch", "roll", "two_axis_pitch")
@@ -119,10 +119,10 @@ def declare(readings: Readings, sharing: Sharing) -> Problem:
             "wire reading", world.on_wire, np.repeat([LOOKS[i] for i in INSTRUMENTS], len(WIRES), axis=0),
             unknowns.offset[at_wire], unknowns.plumb[at_wire], unknowns.height[at_wire], still, angle,
             unknowns.distance[to_yaw[at_instrument]], zero[at_instrument], standing[at_instrument], up, Shared(1.0),
-            unit="arcsec", keys=SIGHTS),
+            unit="deg", keys=SIGHTS),
         Quantity(
             "reading", world.on_target, *sight(np.array(targets)), still, still, angle, zero[0], index, standing[0],
-            unit="arcsec", parts=("H", "V"), keys=targets),
+            unit="deg", parts=("H", "V"), keys=targets),
         Quantity("point", world.axis_point, *sight(np.array(targets)), unit="mm", parts=("y", "z"), keys=targets),
     ]
     if r.feet:
@@ -157,8 +157,9 @@ class _Unknowns:
 def _unknowns(
     r: Readings, axes: list[str], read: list[str], apart: list[str], wire_circles: list[str], up: int
 ) -> _Unknowns:
-    toward = [r.wires.reading[(r.wires.instrument == i) & (r.wires.target == "S3")].mean() for i in INSTRUMENTS]
-    names = ("x", "y")
+    first, names = r.sights(), ("x", "y")
+    toward = [first[f"{i} S3"] for i in INSTRUMENTS]
+    points, slopes = _first_axes(r, axes, first)
     return _Unknowns(
         plumb=Unknown("plumb", np.zeros((2, 2)), "arcsec", names, TABLES),
         level_zero=Unknown("level_zero", np.mean(r.level, axis=0)[:, None], "arcsec", keys=TABLES),
@@ -171,8 +172,8 @@ def _unknowns(
         offset=Unknown("yaw_offset", np.zeros((2, 2)), "mm", names, TABLES),
         height=Unknown("wire_height", np.zeros((2, 1)), "mm", keys=WIRES),
         wire_circle=Unknown("wire_circle", np.zeros((len(wire_circles), 2)), "mm", ("a", "b"), wire_circles),
-        point=Unknown("axis_point", np.zeros((len(axes), 2)), "mm", ("y", "z"), axes),
-        slope=Unknown("axis_slope", np.zeros((len(axes), 2)), "urad", ("y", "z"), axes),
+        point=Unknown("axis_point", points, "mm", ("y", "z"), axes),
+        slope=Unknown("axis_slope", slopes, "urad", ("y", "z"), axes),
         circle=Unknown(
             "target_circle", np.zeros((len(read) + len(apart), 2)), "mm", ("a", "b"),
             read + [f"{t} in V" for t in apart]),
@@ -180,6 +181,18 @@ def _unknowns(
         # which way Z points is known by assumption only: held, for the report to say it
         up=Unknown("up", float(up)),
     )
+
+
+def _first_axes(r: Readings, axes: list[str], first: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Points at the yaw axis and slopes of the axes, from the mean readings of their targets, to start from."""
+
+    def seen(target: str) -> tuple[float, float, float]:
+        length = r.distance[target][0]
+        return axis_point(length, first[f"{target} H"], first[f"{target} V"], first["T1 S3"], r.index[0])
+
+    lines = [line_through(*map(seen, NEAR_AND_FAR[axis])) for axis in axes]
+    return (np.array([line.at(r.distance["T1"][0]) for line in lines]),
+            np.array([[line.dy / line.dx, line.dz / line.dx] for line in lines]))
 
 
 def _priors(r: Readings, unknowns: _Unknowns) -> list[Observations]:

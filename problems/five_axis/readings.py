@@ -25,6 +25,7 @@ FILES = {
 TABLES = ("three_axis", "two_axis")
 WIRES = ("S3", "S2")
 INSTRUMENTS = ("T1", "T2")
+FIELD = 10 * degree
 SIGHTS = tuple(f"{i} {w}" for i in INSTRUMENTS for w in WIRES)
 NEAR_AND_FAR = {"pitch": ("A", "B"), "roll": ("C", "D"), "two_axis_pitch": ("E", "F")}
 
@@ -67,6 +68,37 @@ class Readings:
     u_circle: float
     feet: Mapping[str, tuple[int, float, float]] = field(default_factory=dict)
 
+    def sights(self) -> dict[str, float]:
+        """Mean reading of every circle, {"T1 S3": ..., "A H": ..., "A V": ...} [rad], to start from.
+
+        Readings of one circle are taken within half a turn of each other, those of T1 also of its reading of S3.
+        Raises InputError where a target stands far off the line of sight along the axis.
+        """
+        found: dict[str, float] = {}
+        for instrument in INSTRUMENTS:
+            for wire in WIRES:
+                read = self.wires.reading[(self.wires.instrument == instrument) & (self.wires.target == wire)]
+                found[f"{instrument} {wire}"] = _near(read, found.get(f"{instrument} {WIRES[0]}", read[0]))
+        along = np.array([found["T1 S3"], self.index[0]])
+        read = {t: circle.reading[circle.target == t] for circle in (self.pitch, self.roll) for t in circle.target}
+        read |= {t: np.array([[h, v]]) for t, (h, v, _) in self.centre.items()}
+        for target, both in read.items():
+            for name, readings, axis in zip("HV", both.T, along):
+                found[f"{target} {name}"] = _near(readings, axis)
+                if abs(found[f"{target} {name}"] - axis) > FIELD:
+                    raise InputError(
+                        f"target {target} is read at {found[f'{target} {name}'] / degree:.2f} deg, {name} along the "
+                        f"axes is {axis / degree:.2f} deg: the theodolite looks along the axes, so these must agree to "
+                        f"{FIELD / degree:.0f} deg. Was it turned or set anew between the tables? Correct the readings."
+                    )
+        return found
+
+
+def _near(readings: np.ndarray, angle: float) -> float:
+    """Mean of circle readings, each taken within half a turn of an angle."""
+    turn = 2 * np.pi
+    return float(np.mean(readings - turn * np.rint((readings - angle) / turn)))
+
 
 def published(*, as_printed: bool = False) -> Readings:
     """The readings of the paper's tables 1 to 4 and section 5.1.
@@ -106,6 +138,8 @@ def from_tables(
         lengths.text("instrument"), lengths.text("target"), lengths.number("distance", "length"),
         lengths.number("u", "length")):
         distance[str(instrument) if target in WIRES else str(target)] = (float(value), float(u))
+    for row in np.flatnonzero(lengths.number("u", "length") <= 0.0):
+        raise InputError(f"{lengths.place(int(row), lengths.column('u'))}: a distance needs a positive u; state it")
     centre = {}
     if "centres" in tables:
         given = tables["centres"]

@@ -37,10 +37,10 @@ def declare(readings: Readings) -> Problem:
 
     readings: of all tables. Returns the problem; its groups are table 1 to table 4, the printed centres and the priors.
     """
-    r, keys = readings, centre_keys(readings)
+    r, keys, first = readings, centre_keys(readings), readings.sights()
     zero = Unknown("level_zero", np.mean(r.level, axis=0)[:, None], "arcsec", keys=TABLES)
     plumb = Unknown("plumb", np.zeros((2, 2)), "arcsec", parts=("x", "y"), keys=TABLES)
-    centre = Unknown("centre", _first_centres(r), "deg", keys=keys)
+    centre = Unknown("centre", [[first[key]] for key in keys], "deg", keys=keys)
     read = [k for k in keys if k[0] not in r.centre]
     circle = Unknown("circle", np.zeros((len(read), 2)), "arcsec", parts=("a", "b"), keys=read)
     distance = Unknown("distance", [[value] for value, _ in r.distance.values()], "mm", keys=list(r.distance))
@@ -78,24 +78,7 @@ def declare(readings: Readings) -> Problem:
         quantities=_results(r, plumb, centre, circle, distance, index), name="five-axis, step by step")
 
 
-def _first_centres(r: Readings) -> np.ndarray:
-    """Mean reading of every circle, to start from."""
-    mean = {
-        f"{i} {w}": r.wires.reading[(r.wires.instrument == i) & (r.wires.target == w)].mean()
-        for i in INSTRUMENTS
-        for w in WIRES
-    }
-    for read in (r.pitch, r.roll):
-        for target in dict.fromkeys(read.target):
-            h, v = read.reading[read.target == target].mean(axis=0)
-            mean |= {f"{target} H": h, f"{target} V": v}
-    for target, (h, v, _) in r.centre.items():
-        mean |= {f"{target} H": h, f"{target} V": v}
-    return np.array([[mean[key]] for key in centre_keys(r)])
-
-
-# --- the printed results, from fitted centres (H, V) and distances L
-# ----------------------------------------------------------
+# --- the printed results, from fitted centres (H, V) and distances L -----------------------------------------------
 
 
 def _line(La: Any, Ha: Any, Va: Any, Lb: Any, Hb: Any, Vb: Any, yaw: Any, index: Any) -> formulas.Line:
@@ -181,7 +164,7 @@ def _results(
         Quantity(
             "plumb difference", formulas.parallelism, plumb[0], plumb[1], unit="arcsec", parts=("x", "y", "parallelism")
         ),
-        Quantity("reading", lambda c: c, centre.each, unit="arcsec", keys=keys),
+        Quantity("reading", lambda c: c, centre.each, unit="deg", keys=keys),
         Quantity("yaw angle", lambda a, b: b - a, centre[s3], centre[s2], unit="arcsec", keys=INSTRUMENTS),
         Quantity(
             "yaw offset", lambda L, a, b: formulas.off_the_sight(L, b, a),
