@@ -38,7 +38,6 @@ from problems.locators.vocabulary import error_functions
 KNOWLEDGE = Knowledge()
 FUNCTIONS = tuple(function for key in "ABC" for function in error_functions(key))
 CHECKS = 12
-GIVE = 40 * um
 SCHEMES = ("nine axes read, tracker", "six axes read, tracker", "nine axes driven, tracker",
            "nine axes read, no tracker")
 
@@ -65,7 +64,7 @@ def problem_of(scheme: str, measured: campaign.Campaign) -> tuple[Setup, Problem
     u_axis = 1 * um if "driven" in scheme else campaign.U_AXIS
     problem = declare(setup, axes, targets, u_axis=u_axis, u_tracker=campaign.U_TRACKER)
     if "driven" in scheme:
-        problem = give_in_joints(problem, setup, GIVE)
+        problem = give_in_joints(problem, setup)
     return setup, with_error_functions(problem)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from calib import Effect, Estimate, Linearisation, Observations, Parameter, Problem, Shared, prior, solve, units
 from calib.geometry import Transform, cross
-from calib.units import arcsec, um
+from calib.units import arcsec, mm, um
 from problems.locators.measured import Readings, Setup, declare, rigid_fit
 from problems.locators.vocabulary import axis_group, error_functions
 
@@ -174,10 +174,11 @@ def balance(part_pose: Transform, give_a: Any, give_b: Any, give_c: Any, balls: 
     return vertcat(give_a + give_b + give_c, moments[0] + moments[1] + moments[2])
 
 
-def give_in_joints(problem: Problem, setup: Setup, u_give: float) -> Problem:
+def give_in_joints(problem: Problem, setup: Setup, u_give: float = 1 * mm) -> Problem:
     """All nine axes driven: the ball joints give way, each by an unknown amount per pose, in balance for every pose.
 
-    problem: of `declare` with tracker and all nine axes; setup; u_give: [m], how far a joint may give, as a prior.
+    problem: of `declare` with tracker and all nine axes; setup; u_give: [m], prior of how far a joint gives.
+    It has to be wide: what a joint gives follows from the errors and returns in every pose, it is no draw of each.
     Without it the strain of the joints would pass for an error of measurement, and what causes it would be lost.
     """
     part = next(u for u in problem.unknowns if u.name == "part")
