@@ -129,7 +129,7 @@ def test_derivatives_are_those_of_finite_differences(name, number):
     size, scale = np.abs(everywhere).max(axis=(1, 2), keepdims=True), sizes_of(term)
     function = evaluated(term, term.traced.prediction)
     found, doubt = differences(function, inputs_of(term, values)[:, rows], scale, size)
-    assert np.all(np.abs(found - everywhere[:, :, rows]) <= 1e-7 * size + 10 * doubt)
+    assert np.all(np.abs(found - everywhere[:, :, rows]) <= SHARP * size + 10 * doubt)
     seen = size[:, 0, 0] * scale > 2e-9 * (1.0 + np.abs(predicted).max())       # not so flat that rounding hides it
     assert np.all((doubt <= 10 * SHARP * size)[seen])
 
@@ -154,7 +154,7 @@ def test_second_derivatives_are_those_of_finite_differences(name, number):
             return slope(inputs, whole)
         size = np.abs(hessians[row]).max()
         found, doubt = differences(moved, inputs_of(term, values)[:, [row]], sizes_of(term)[chosen], size)
-        assert np.all(np.abs(found[:, :, 0] - hessians[row]) <= 1e-7 * size + 10 * doubt[:, :, 0])
+        assert np.all(np.abs(found[:, :, 0] - hessians[row]) <= SHARP * size + 10 * doubt[:, :, 0])
 
 
 def test_more_rows_than_a_chunk_give_the_same_rows():
