@@ -26,7 +26,8 @@ def modules_with_examples():
     for package in (problems, instruments):
         for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             module = importlib.import_module(found.name)
-            if getattr(module, "example", None) is not None and module.example.__module__ == found.name:
+            offered = getattr(module, "example", None)
+            if offered is not None and offered.__module__ == found.name and getattr(module, "measures", True):
                 yield module
 
 

@@ -27,6 +27,7 @@ from problems.base_point_lines import Lines
 
 Array = NDArray[np.float64]
 accepts = ("base_point_layout", "base-point-layout")
+measures = False      # a layout is sought: the readings are a goal, and no truth is to be covered
 KNOWN, FREE, TIED = AbsoluteRange(), FreeStart(), TiedStart()      # of the length at the zero of the reading
 TARGETS = 3
 STRAIGHT = Ipopt()                    # with exact second derivatives: the conditions of a layout are curved
