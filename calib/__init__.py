@@ -1,25 +1,62 @@
-"""Optimisation-based calibration: declare a measurement once, get the estimate, its uncertainty and its reliability."""
+"""Optimisation-based calibration: declare a measurement once, get the estimate, its uncertainty and its reliability.
 
-from calib.analyse.budget import Budget, budget
-from calib.analyse.components import VarianceComponents, variance_components
+What declares and solves is imported here; analyses, other methods and workflows are loaded when they are first asked for.
+"""
+
+from importlib import import_module as _import_module
+from typing import TYPE_CHECKING
+from typing import Any as _Any
+
 from calib.analyse.covariance import Covariance, covariance
-from calib.analyse.estimability import Estimability, estimability
-from calib.analyse.reliability import Reliability, reliability
 from calib.effect import Effect, Parameter, direct, hands_slots_to
 from calib.linearisation import Linearisation, linearise
 from calib.observations import Constraint, Observations, Quantity, Shared, prior
 from calib.problem import Problem
 from calib.solve.estimate import Estimate, predict, simulate, solve
 from calib.solve.gauss_newton import GaussNewton
-from calib.solve.ipopt import ExactHessian, GaussNewtonHessian, Ipopt
 from calib.uncertainty import Gaussian
 from calib.unknown import Direction, Pose, Rotation, Unknown
-from calib.workflow.discrepancy.explain import Explanation, explain
-from calib.workflow.montecarlo import MonteCarlo, montecarlo
+
+if TYPE_CHECKING:
+    from calib.analyse.budget import Budget, budget
+    from calib.analyse.components import VarianceComponents, variance_components
+    from calib.analyse.estimability import Estimability, estimability
+    from calib.analyse.reliability import Reliability, reliability
+    from calib.solve.convex import Convex
+    from calib.solve.ipopt import ExactHessian, GaussNewtonHessian, Ipopt
+    from calib.solve.loss import L1, Huber, LeastSquares, MinimumZone
+    from calib.workflow.discrepancy.explain import Explanation, explain
+    from calib.workflow.montecarlo import MonteCarlo, montecarlo
+
+_LATER = {
+    "analyse.budget": ("Budget", "budget"),
+    "analyse.components": ("VarianceComponents", "variance_components"),
+    "analyse.estimability": ("Estimability", "estimability"),
+    "analyse.reliability": ("Reliability", "reliability"),
+    "solve.convex": ("Convex",),
+    "solve.ipopt": ("ExactHessian", "GaussNewtonHessian", "Ipopt"),
+    "solve.loss": ("L1", "Huber", "LeastSquares", "MinimumZone"),
+    "workflow.discrepancy.explain": ("Explanation", "explain"),
+    "workflow.montecarlo": ("MonteCarlo", "montecarlo"),
+}
+_WHERE = {name: f"calib.{module}" for module, names in _LATER.items() for name in names}
+
+
+def __getattr__(name: str) -> _Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'calib' has no attribute '{name}'")
+    return getattr(_import_module(_WHERE[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
 
 __all__ = [
+    "L1",
     "Budget",
     "Constraint",
+    "Convex",
     "Covariance",
     "Direction",
     "Effect",
@@ -30,8 +67,11 @@ __all__ = [
     "GaussNewton",
     "GaussNewtonHessian",
     "Gaussian",
+    "Huber",
     "Ipopt",
+    "LeastSquares",
     "Linearisation",
+    "MinimumZone",
     "MonteCarlo",
     "Observations",
     "Parameter",
