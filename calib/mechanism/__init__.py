@@ -6,6 +6,7 @@ from calib.mechanism.axis import Axis, Frame, Linear, Load, Rotary
 from calib.mechanism.chain import Mechanism
 from calib.mechanism.drive import (
     backlash,
+    bending,
     encoder_harmonic,
     sag,
     sag_by_load,
@@ -17,7 +18,7 @@ from calib.mechanism.drive import (
 from calib.mechanism.errors import error_motion, error_motions, location_error, location_errors, mounting_errors
 
 __all__ = [
-    "Axis", "Frame", "Linear", "Load", "Mechanism", "Rotary", "backlash", "encoder_harmonic", "error_motion",
+    "Axis", "Frame", "Linear", "Load", "Mechanism", "Rotary", "backlash", "bending", "encoder_harmonic", "error_motion",
     "error_motions",
     "location_error", "location_errors", "mounting_errors", "observe", "sag", "sag_by_load", "scale", "thermal_growth",
     "thermal_scale",

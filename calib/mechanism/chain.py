@@ -85,6 +85,10 @@ class Mechanism(Frozen):
         carrier = self.frame(frame).carried_by
         return () if carrier is None else self._paths[carrier]
 
+    def path_of(self, load: Load) -> tuple[Axis, ...]:
+        """The axes that carry a load, base first."""
+        return self._paths[load.carried_by]
+
     def index(self, axis: str) -> int:
         """Place of an axis among the positions."""
         return self.axes.index(self.axis(axis))
@@ -113,8 +117,8 @@ class Mechanism(Frozen):
 
         def model(positions: Any, **taps: Any) -> Transform:
             tap = {name: taps.get(name, direct) for name in slots}
-            levers = self._levers(positions, on_the_way)
-            from_base, to_frame = (self._branch(axes, end, positions, levers, tap) for axes, end in branches)
+            gravity = self._gravity(positions, on_the_way)
+            from_base, to_frame = (self._branch(axes, end, positions, gravity, tap) for axes, end in branches)
             return to_frame if not branches[0][0] and branches[0][1].name == "base" else from_base.inverse() @ to_frame
         kind = inspect.Parameter
         model.__signature__ = inspect.Signature(                                          # type: ignore[attr-defined]
@@ -123,12 +127,12 @@ class Mechanism(Frozen):
         model.__name__ = f"pose_of_{frame}"
         return model
 
-    def _branch(self, axes: Sequence[Axis], end: Frame, positions: Any, levers: dict[str, Any],
+    def _branch(self, axes: Sequence[Axis], end: Frame, positions: Any, gravity: dict[str, Any],
                 tap: dict[str, Any]) -> Transform:
         pose = Transform.identity()
         for axis in axes:
             command = positions[self.index(axis.name)]
-            known = {"position": command, "positions": positions, "levers": levers[axis.name]}
+            known = {"position": command, "positions": positions, **gravity[axis.name]}
             location = tap[f"{axis.name}_location"](ca.DM.zeros(6), **known)
             motion = tap[f"{axis.name}_motion"](ca.DM.zeros(6), **known)
             moved = axis.motion(tap[f"{axis.name}_position"](command, **known))
@@ -146,29 +150,33 @@ class Mechanism(Frozen):
                 pose = pose @ Transform(turn, mounting[:3])
         return pose
 
-    def _levers(self, positions: Any, axes: Sequence[Axis]) -> dict[str, Any]:
-        """For each axis the work that gravity does on a unit of its motion, per unit weight of each load: a lever arm
-        [m] of a rotary axis, a cosine of a linear one; zero for loads that it does not carry."""
+    def _gravity(self, positions: Any, axes: Sequence[Axis]) -> dict[str, dict[str, Any]]:
+        """What gravity does to each axis, per unit weight of each load, at the nominal geometry.
+
+        `levers` (loads,): work on a unit of motion, a lever arm [m] of a rotary axis, a cosine of a linear one;
+        `moments` (3, loads): moment about the point of the axis, along X, Y, Z of its reference [m]; zero for loads not
+        carried.
+        """
         if not self.loads:
-            return {axis.name: ca.DM.zeros(0) for axis in axes}
+            return {axis.name: {"levers": ca.DM.zeros(0), "moments": ca.DM.zeros(3, 0)} for axis in axes}
         nominal: dict[str | None, Transform] = {None: Transform.identity()}
         for axis in sorted(self.axes, key=lambda a: len(self._paths[a.name])):
             nominal[axis.name] = nominal[axis.carried_by] @ axis.motion(positions[self.index(axis.name)])
-        levers = {}
+        acting = {}
         for axis in axes:
             carrier = nominal[axis.carried_by]
             direction, point = carrier.turn(axis.direction), carrier @ axis.through
-            arms = []
+            levers, moments = [], []
             for load in self.loads:
-                if axis not in self._paths[load.carried_by]:
-                    arms.append(0.0)
-                elif axis.is_rotary:
-                    arm = nominal[load.carried_by] @ load.at - point
-                    arms.append(geometry.dot(direction, geometry.cross(arm, self.down)))
+                if axis in self._paths[load.carried_by]:
+                    moment = geometry.cross(nominal[load.carried_by] @ load.at - point, self.down)
+                    levers.append(geometry.dot(direction, moment if axis.is_rotary else self.down))
+                    moments.append(geometry.product(geometry.product(carrier.rotation, axis.reference).T, moment))
                 else:
-                    arms.append(geometry.dot(direction, self.down))
-            levers[axis.name] = ca.vertcat(*arms)
-        return levers
+                    levers.append(0.0)
+                    moments.append(ca.DM.zeros(3))
+            acting[axis.name] = {"levers": ca.vertcat(*levers), "moments": ca.horzcat(*moments)}
+        return acting
 
     # --- numbers --------------------------------------------------------------------------------------------------
 

@@ -81,11 +81,26 @@ def sag(mechanism: Mechanism, axis: Axis, loads: Sequence[str] | None = None) ->
 
 def sag_by_load(mechanism: Mechanism, axis: Axis) -> Effect:
     """Deflection of the drive of an axis with a parameter for each load that it carries, where masses are not known."""
-    carried = [i for i, load in enumerate(mechanism.loads) if axis in mechanism._paths[load.carried_by]]
+    carried = [i for i, load in enumerate(mechanism.loads) if axis in mechanism.path_of(load)]
     parameters = tuple(Parameter(mechanism.loads[i].name, *_compliance(axis)) for i in carried)
     return Effect(f"sags_{axis.name}", f"{axis.name}_position",
                   lambda value, p, levers: sum(k * levers[i] for k, i in zip(p, carried, strict=True)),
                   parameters, channel=axis.name, source=DEFLECTION)
+
+
+def bending(mechanism: Mechanism, axis: Axis) -> Effect:
+    """Tilt of an axis by the moment of all loads across it: compliance of its bearing and of the link before it.
+
+    The parameter is the tilt per metre of lever arm of the whole weight, the same in every direction across the axis.
+    """
+    masses = np.array([load.mass for load in mechanism.loads])
+    share = ca.DM(masses / masses.sum())
+    across = ca.DM([0.0 if i == axis.along else 1.0 for i in range(3)])
+
+    def tilt(value: Any, p: Any, moments: Any) -> Any:
+        return ca.vertcat(ca.SX.zeros(3), p.compliance * across * ca.mtimes(moments, share))
+    return Effect(f"bending_{axis.name}", f"{axis.name}_location", tilt, (Parameter("compliance", *_compliance(axis)),),
+                  channel=axis.name, source=DEFLECTION)
 
 
 def _compliance(axis: Axis) -> tuple[str, tuple[float, float]]:

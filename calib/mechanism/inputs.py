@@ -71,5 +71,4 @@ def other_quaternion_order(misfit: float, misfit_of_other: float, where: str) ->
         raise InputError(f"{where}: the orientations miss the mechanism by {misfit / degree:.0f} degrees, with the "
                          "scalar at the "
                          f"other end of the quaternion by {misfit_of_other / degree:.1f}: the quaternions are in the "
-                         "other order. "
-                         "Name the columns qw, qx, qy, qz, or set quaternions = \"xyzw\" or \"wxyz\".")
+                         "other order. Name the columns qw, qx, qy, qz, or set quaternions = \"xyzw\" or \"wxyz\".")
