@@ -18,7 +18,7 @@ from scipy.special import stdtrit
 
 from calib import Problem, budget, simulate, solve
 from calib.uncertainty import Gaussian
-from problems.axis_points import sharing
+from problems.circle_sharing import sharing
 from problems.five_axis import joint, results, step_by_step
 from problems.five_axis.joint import Sharing
 from problems.five_axis.readings import published

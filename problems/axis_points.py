@@ -6,36 +6,23 @@ b = r sin(phi). With the axis turned to alpha the line of sight to it is (Ren, G
     horizontal angle = centre.H + (a cos alpha - b sin alpha)/(L cos e)
     vertical angle   = centre.V + (a sin alpha + b cos alpha)/L
 
-Both circles see the same r and phi; whether the readings bear that out is tested by `sharing` before it is believed.
+Both circles see the same r and phi; `circle_sharing` tests whether the readings bear that out before it is believed.
 A filament has no height to point at and is seen in the horizontal circle only.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from casadi import atan2, cos, sin, sqrt, vertcat
+from casadi import atan2, cos, pi, sin, sqrt, vertcat
 from numpy.typing import ArrayLike
 
-from calib import (
-    Effect,
-    Linearisation,
-    Observations,
-    Parameter,
-    Problem,
-    Quantity,
-    Unknown,
-    VarianceComponents,
-    covariance,
-    direct,
-    hands_slots_to,
-    prior,
-    simulate,
-)
+from calib import Effect, Observations, Parameter, Problem, Quantity, Unknown, direct, hands_slots_to, prior, simulate
 from calib.errors import InputError
 from calib.job import Job
+from calib.table import Table
 from calib.units import arcsec, degree, minute, mm, um
 from instruments import theodolite
 
@@ -82,6 +69,19 @@ def both_circles(
         **slots)
 
 
+@hands_slots_to(theodolite.face_readings)
+def on_filament(
+    centre: Any, eccentricity: Any, distance: Any, angle: Any, face: Any, *, offset: Any = direct, **slots: Any
+) -> Any:
+    """Reading of the horizontal circle on a filament of a turning axis (eq 4), pointed at on the horizon.
+
+    centre: reading on the axis [rad]; eccentricity: (2,) a, b [m]; distance: [m]; angle: of the axis [rad]; face: +1 or
+    -1. Slots as of `both_circles`. Returns H [rad].
+    """
+    departure = offset(vertcat(across(eccentricity, angle), 0.0), angle=angle)
+    return theodolite.face_readings(centre + departure[0] / distance, pi / 2, 0.0, face, **slots)[0]
+
+
 def face_one(readings: ArrayLike, face: ArrayLike) -> np.ndarray:
     """Raw readings of two faces as angles of the line of sight, to start from.
 
@@ -119,12 +119,7 @@ def declare(
     Raises InputError for a target without a distance.
     """
     ids = list(dict.fromkeys(str(t) for t in target))
-    missing = [t for t in ids if t not in distance]
-    if missing:
-        raise InputError(
-            f"target '{missing[0]}' has readings but no distance; distances are given for "
-            f"{', '.join(distance) or 'none'}. Measure it (some millimetres suffice) and add it."
-        )
+    _refuse_missing(ids, distance)
     apart = [t for t in ids if shared is not None and t not in shared]
     index = np.array([ids.index(str(t)) for t in target])
     faces = np.ones(len(index)) if face is None else np.asarray(face, float)
@@ -161,6 +156,41 @@ def declare(
     return Problem(observations, quantities=quantities, effects=candidates, name="axis points")
 
 
+def declare_filaments(
+    readings: ArrayLike | None, target: Sequence[object], angle: ArrayLike, *, distance: Mapping[str, float],
+    u: float = 1 * arcsec, face: ArrayLike | None = None, covariates: Mapping[str, Any] | None = None,
+    rows: ArrayLike | None = None
+) -> Problem:
+    """The problem of axis points marked by filaments, which the horizontal circle alone sees.
+
+    readings: (n,) raw H [rad], None for planning; the rest as for `declare`. Returns the problem with r and phase of
+    every filament as quantities. Raises InputError for a filament without a distance.
+    """
+    ids = list(dict.fromkeys(str(t) for t in target))
+    _refuse_missing(ids, distance)
+    index = np.array([ids.index(str(t)) for t in target])
+    faces = np.ones(len(index)) if face is None else np.asarray(face, float)
+    seen = np.full((len(index), 2), np.pi) if readings is None else np.stack([readings, readings], axis=1)
+    centre = Unknown("filament", start(seen, faces, index, len(ids))[:, :1], "deg", keys=ids)
+    eccentricity = Unknown("filament_eccentricity", np.zeros((len(ids), 2)), "mm", parts=("a", "b"), keys=ids)
+    observations = Observations(
+        on_filament, centre[index], eccentricity[index], np.array([distance[t] for t in ids])[index],
+        np.asarray(angle, float), faces, readings=readings, u=u, group="filaments", unit="arcsec", components=("H",),
+        period=theodolite.PERIOD, covariates={**(covariates or {}), "target": np.array(target, dtype=str)}, rows=rows)
+    circle = Quantity(
+        "filament circle", radius_and_phase, eccentricity.each, unit=("mm", "deg"), parts=("r", "phase"), keys=ids)
+    return Problem([observations], quantities=[circle], name="axis points by filaments")
+
+
+def _refuse_missing(ids: Sequence[str], distance: Mapping[str, float]) -> None:
+    missing = [t for t in ids if t not in distance]
+    if missing:
+        raise InputError(
+            f"target '{missing[0]}' has readings but no distance; distances are given for "
+            f"{', '.join(distance) or 'none'}. Measure it (some millimetres suffice) and add it."
+        )
+
+
 def radius_and_phase(eccentricity: Any) -> Any:
     """Length r [unit of a] and phase [rad] of an eccentricity (a, b)."""
     return vertcat(sqrt(eccentricity[0] ** 2 + eccentricity[1] ** 2), atan2(eccentricity[1], eccentricity[0]))
@@ -169,40 +199,6 @@ def radius_and_phase(eccentricity: Any) -> Any:
 def difference(seen_by_horizontal: Any, seen_by_vertical: Any) -> Any:
     """Difference (2,) of the eccentricities that two circles see."""
     return seen_by_horizontal - seen_by_vertical
-
-
-class Agreement(NamedTuple):
-    """Whether two circles see one eccentricity: T, its p-value by the stated u and by the scatter found, verdict."""
-
-    target: str
-    statistic: float
-    p_stated: float
-    p_scatter: float
-    accepted: bool
-
-
-def sharing(
-    fit: Linearisation, scatter: VarianceComponents, name: str = "circle difference", level: float = 0.01
-) -> tuple[Agreement, ...]:
-    """Test for each target whether both circles may share r and phase.
-
-    fit: of a problem that does not share them, with the difference (a, b) as the quantity `name`; scatter: its variance
-    components; level: of the test. Returns one line for each target: T = d' C^-1 d is chi-squared with 2 degrees of
-    freedom where the stated uncertainties hold; T/2 with the estimated components is F(2, dof), and that decides,
-    because a scatter above the stated one would refuse what the readings cannot tell.
-    Source: Koch, Parameter Estimation and Hypothesis Testing in Linear Models, Springer 1999, section 4.2.
-    """
-    stated, found = covariance(fit, name), covariance(scatter.rescaled(fit), name)
-    lines = []
-    for i in range(0, len(stated.names), 2):
-        target = stated.names[i].partition("[")[2].partition("]")[0]
-        d, pair = stated.values[i : i + 2], slice(i, i + 2)
-        t, t_found = (float(d @ np.linalg.solve(c.matrix[pair, pair], d)) for c in (stated, found))
-        group = next(g for g in fit.groups if target in g.covariates.get("target", ()))
-        dof = float(scatter.dof[scatter.names.index(group.name)])
-        p_found = (1.0 + t_found / dof) ** (-dof / 2.0)
-        lines.append(Agreement(target, t, float(np.exp(-t / 2.0)), p_found, p_found >= level))
-    return tuple(lines)
 
 
 def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
@@ -224,12 +220,22 @@ def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
     return (*theodolite.effects(blocks), motion)
 
 
+columns = {
+    "circles": {"target": "id", "angle": "of the axis", "H": "circle", "V": "circle", "face": "1 or 2 (optional)"},
+    "filaments": {"target": "id", "angle": "of the axis", "H": "circle", "face": "1 or 2 (optional)"},
+}
+options = {
+    "shared": "targets whose circles share r and phase, as a list; all if not given",
+    "u_distance": "standard uncertainty of the distances; exact if not given",
+}
+
+
 def from_job(job: Job) -> Problem:
     """The problem of a job, or of a case of scenario `theodolite_target`.
 
-    Columns of [data.circles] (or measurements.csv): target, angle, H, V; where there are: face (1 or 2), direction,
-    block, time, temp. [[known.targets]]: id, L, elevation. The instrument gives u_H, u_V (a case: sigma_H, sigma_V);
-    [options] shared lists the targets whose circles share r and phase (all if not given), u_distance.
+    Columns of [data.circles] (or measurements.csv): target, angle, H, V; of [data.filaments]: target, angle, H; where
+    there are: face (1 or 2), direction, block, time, temp. [[known.targets]]: id, L, elevation. The instrument gives
+    u_H, u_V (a case: sigma_H, sigma_V).
     Raises InputError where something is missing.
     """
     return _from_job(job, job.options.texts("shared", None))
@@ -242,36 +248,49 @@ def formulations(job: Job) -> dict[str, Problem]:
 
 def _from_job(job: Job, shared: Collection[str] | None) -> Problem:
     case = "measurements" in job.tables
-    data = job.table("measurements" if case else "circles")
-    instrument = job.instruments.table("theodolite") if case else job.instrument("circles")
     stated = "sigma" if case else "u"
     targets = {one.text("id"): one for one in job.known.tables("targets")}
-    covariates: dict[str, Any] = {}
+    distance = {key: one.quantity("L", "length") for key, one in targets.items()}
+    elevation = {key: one.quantity("elevation", "angle", 0.0) for key, one in targets.items()}
+    u_distance = job.options.quantity("u_distance", "length", 0.0)
+    parts = []
+    if case or "circles" in job.tables or "filaments" not in job.tables:
+        data = job.table("measurements" if case else "circles")
+        instrument = job.instruments.table("theodolite") if case else job.instrument("circles")
+        parts.append(declare(
+            np.stack([data.number("H", "angle"), data.number("V", "angle")], axis=1), list(data.text("target")),
+            data.number("angle", "angle"), distance=distance, elevation=elevation,
+            u=[instrument.quantity(f"{stated}_{circle}", "angle") for circle in "HV"], face=_faces(data), shared=shared,
+            u_distance=u_distance, covariates=_covariates(job, data), rows=data.row_numbers))
+    if "filaments" in job.tables:
+        data = job.table("filaments")
+        parts.append(declare_filaments(
+            data.number("H", "angle"), list(data.text("target")), data.number("angle", "angle"), distance=distance,
+            u=job.instrument("filaments").quantity("u_H", "angle"), face=_faces(data),
+            covariates=_covariates(job, data), rows=data.row_numbers))
+    problem = Problem([o for part in parts for o in part.observations], name="axis points",
+                      quantities=[q for part in parts for q in part.quantities])
+    blocks = sorted({int(b) for o in problem.observations for b in o.covariates.get("block", [])})[1:]
+    return problem.with_effects(*_usable(effects(blocks), problem))
+
+
+def _covariates(job: Job, data: Table) -> dict[str, Any]:
+    found: dict[str, Any] = {}
     if data.has("time"):
         time = data.number("time", "time")
-        covariates["time"] = (time - time[0], "s")
+        found["time"] = (time - time[0], "s")
     if data.has("temp"):
         reference = job.known.quantity("reference_temperature", "temperature", 293.15)
-        covariates["temperature_difference"] = (data.number("temp", "temperature") - reference, "K")
-    for name in ("direction", "block", "sweep"):
-        if data.has(name):
-            covariates[name] = data.whole(name)
-    face = np.ones(len(data))
-    if data.has("face"):
-        face = data.whole("face")
-        for row in np.flatnonzero((face != 1) & (face != 2)):
-            place = data.place(int(row), data.column("face"))
-            raise InputError(f"{place}: face {face[row]} is neither 1 nor 2; correct it")
-        face = np.where(face == 1, 1.0, -1.0)
-    problem = declare(
-        np.stack([data.number("H", "angle"), data.number("V", "angle")], axis=1), list(data.text("target")),
-        data.number("angle", "angle"), distance={key: one.quantity("L", "length") for key, one in targets.items()},
-        elevation={key: one.quantity("elevation", "angle", 0.0) for key, one in targets.items()},
-        u=[instrument.quantity(f"{stated}_{circle}", "angle") for circle in "HV"], face=face,
-        shared=shared, u_distance=job.options.quantity("u_distance", "length", 0.0),
-        covariates=covariates, rows=data.row_numbers)
-    blocks = sorted(set(covariates.get("block", [])))[1:]
-    return problem.with_effects(*_usable(effects(blocks), problem))
+        found["temperature_difference"] = (data.number("temp", "temperature") - reference, "K")
+    return found | {name: data.whole(name) for name in ("direction", "block", "sweep") if data.has(name)}
+
+
+def _faces(data: Table) -> np.ndarray:
+    face = data.whole("face") if data.has("face") else np.ones(len(data), dtype=int)
+    for row in np.flatnonzero((face != 1) & (face != 2)):
+        place = data.place(int(row), data.column("face"))
+        raise InputError(f"{place}: face {face[row]} is neither 1 nor 2; correct it")
+    return np.where(face == 1, 1.0, -1.0)
 
 
 def _usable(found: Sequence[Effect], problem: Problem) -> tuple[Effect, ...]:
@@ -280,8 +299,10 @@ def _usable(found: Sequence[Effect], problem: Problem) -> tuple[Effect, ...]:
     Tilt of the standing axis and circle eccentricity are left out: the field of one axis is too narrow to see them.
     """
     names = {*problem.observations[0].covariates, "angle", "face", "elevation", "horizontal_angle", "zenith_angle"}
-    wide = ("standing_axis_tilt", "circle_eccentricity")
-    return tuple(e for e in found if set(e.inputs) <= names and e.name not in wide)
+    left_out = {"standing_axis_tilt", "circle_eccentricity"}
+    if all(o.group == "filaments" for o in problem.observations):
+        left_out |= {e.name for e in found if e.channel == "V" or e.channel.startswith("V@")}
+    return tuple(e for e in found if set(e.inputs) <= names and e.name not in left_out)
 
 
 def example(seed: int) -> Problem:

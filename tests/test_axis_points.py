@@ -9,8 +9,9 @@ import pytest
 from calib import covariance, linearise, predict, simulate, solve, variance_components
 from calib.errors import InputError, RankDefect
 from calib.job import Job
+from calib.table import shipped
 from calib.units import arcsec, degree, mm
-from problems import axis_points
+from problems import axis_points, circle_sharing
 
 CASES = Path(os.environ.get("CALIB_REFERENCE_DATA", "absent")).parent / "discrepancy_examples"
 QUARTER = np.arange(0.0, 91.0, 5.0) * degree
@@ -76,7 +77,7 @@ def agreement(in_v, seed):
     problem = one_target(QUARTER, shared=())
     estimate = solve(simulate(problem, truth_of(problem, in_v=in_v), seed))
     fit = linearise(estimate)
-    return axis_points.sharing(fit, variance_components(fit))[0]
+    return circle_sharing.sharing(fit, variance_components(fit))[0]
 
 
 def test_sharing_is_refused_where_the_vertical_circle_sees_another_eccentricity():
@@ -97,7 +98,7 @@ def test_v_pv_grows_by_the_test_statistic_when_the_circles_share():
     together = one_target(QUARTER, shared=None, readings=apart.observations[0].readings)
     estimate = solve(apart)
     fit = linearise(estimate)
-    statistic = axis_points.sharing(fit, variance_components(fit))[0].statistic
+    statistic = circle_sharing.sharing(fit, variance_components(fit))[0].statistic
     assert solve(together).objective - estimate.objective == pytest.approx(statistic, rel=1e-6)
 
 
@@ -160,3 +161,49 @@ def test_the_vertical_index_of_the_example_case_comes_out_as_its_oracle():
     found = covariance(linearise(solve(problem.free(index))), index)
     assert found.values[0] / arcsec == pytest.approx(-5.707041428522422, abs=1e-5 * 0.099)
     assert found.u[0] / arcsec == pytest.approx(0.09928914008049408, rel=1e-6)
+
+
+@pytest.mark.parametrize("instrument, target, printed, u", [
+    ("T1", "S3", 185 + 29 / 60 + 39 / 3600, 3.9), ("T2", "S3", 27 + 21 / 60 + 21 / 3600, 3.3),
+    ("T2", "S2", 27 + 20 / 60 + 35 / 3600, 3.9),
+])
+def test_filaments_over_a_part_turn_give_the_printed_yaw_axes(instrument, target, printed, u):
+    table = shipped("five_axis/table2_filaments.csv")
+    table = table.where((table.text("instrument") == instrument) & (table.text("target") == target))
+    problem = axis_points.declare_filaments(
+        table.number("horizontal", "angle"), table.text("target"), table.number("position", "angle"),
+        distance={"S3": 1.417, "S2": 1.420})
+    found = covariance(linearise(solve(problem)), "filament")
+    assert abs(found.values[0] - printed * degree) < 0.5 * arcsec
+    assert found.u[0] / arcsec == pytest.approx(u, abs=0.05)
+
+
+def test_a_job_of_filaments_alone_needs_no_vertical_circle(tmp_path):
+    lines = ["target,angle_deg,H_deg"]
+    lines += [f"S,{a},{(359.9999 + 0.002 * np.cos(a * degree)) % 360:.7f}" for a in range(0, 91, 10)]
+    files = {"filaments.csv": "\n".join(lines) + "\n", "job.toml": """problem = "problems.axis_points"
+[data.filaments]
+file = "filaments.csv"
+instrument = "theodolite"
+[instruments.theodolite]
+kind = "theodolite"
+u_H = "1 arcsec"
+[[known.targets]]
+id = "S"
+L = "1417 mm"
+"""}
+    job = Job.read(write(tmp_path, files))
+    problem = axis_points.from_job(job)
+    job.refuse_unknown_keys()
+    assert not any(effect.channel.startswith("V") for effect in problem.effects)
+    estimate = solve(problem)
+    # the circle passes its zero between the readings
+    assert np.sin(estimate["filament"][0, 0] - 359.9999 * degree) == pytest.approx(0.0, abs=1e-3 * arcsec)
+    assert estimate["filament circle"][0, 0] == pytest.approx(0.002 * degree * 1.417, rel=1e-4)
+
+
+def test_the_formulations_differ_by_no_more_than_sharing_costs(tmp_path):
+    found = axis_points.formulations(Job.read(write(tmp_path, axis_points.example_job(2))))
+    together, apart = (solve(problem) for problem in found.values())
+    assert together.dof - apart.dof == 2 * 3
+    assert 0.0 < together.objective - apart.objective < 22.5        # chi-squared of 6: beyond that with 0.1 %

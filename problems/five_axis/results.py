@@ -19,7 +19,7 @@ from calib import (
 )
 from calib.analyse.covariance import Covariance
 from calib.units import arcsec, degree, mm
-from problems.axis_points import Agreement, sharing
+from problems.circle_sharing import Agreement, sharing
 
 from . import joint, step_by_step
 from .joint import Sharing
