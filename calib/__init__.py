@@ -1,6 +1,6 @@
 """Optimisation-based calibration: declare a measurement once, get the estimate, its uncertainty and its reliability.
 
-What declares and solves is imported here; analyses, other methods and workflows are loaded when they are first asked for.
+What declares and solves is imported here; analyses, further methods and workflows are loaded when first asked for.
 """
 
 from importlib import import_module as _import_module
