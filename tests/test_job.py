@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import datetime
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -145,6 +147,21 @@ def test_a_job_that_is_not_there_is_named_with_its_neighbour(write):
     path = write()
     assert "did you mean" in refusal(path.with_name("jobb.toml"))
     assert "without case.toml" in refusal(path.parent)
+
+
+def test_the_job_of_the_documentation_is_read_with_everything_in_it(tmp_path):
+    page = (Path(__file__).resolve().parent.parent / "docs" / "jobs.md").read_text(encoding="utf-8")
+    first, earlier = re.findall(r"^```toml\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
+    lines = "".join(f"{n},{n},0,0,{n}\n" for n in range(1, 16))
+    (tmp_path / "lines.csv").write_text(f"row,x_mm,y_mm,z_mm,d_mm\n{lines}")
+    (tmp_path / "job.toml").write_text(first)
+    job = Job.read(tmp_path / "job.toml")
+    assert len(job.table("lines")) == 14
+    assert job.priors[0].value == -230 * mm
+    assert job.tolerances[0].upper == -190 * mm
+    assert job.quantities == ("base_point", "dead_path")
+    (tmp_path / "job.toml").write_text(first + earlier)
+    assert Job.read(tmp_path / "job.toml").priors[1].quantity == "base_point"
 
 
 def test_a_case_folder_is_a_job_of_its_scenario(tmp_path):

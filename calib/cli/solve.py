@@ -70,7 +70,7 @@ def solve(job: Path, method: str, problem_file: Path | None, output: Output) -> 
 
 def say(output: Output, solution: Solution) -> None:
     """The results for people: values with U (k = 2), agreement, advice, what cannot be known."""
-    from calib.report.page import agreement
+    from calib.report.page import agreement, told
 
     estimate = solution.estimate
     if not (estimate.certificate.passed and estimate.converged):
@@ -79,15 +79,14 @@ def say(output: Output, solution: Solution) -> None:
         output.say()
     output.say(f"{solution.problem.name}: expanded uncertainty U with k = 2\n")
     verdicts = {one.quantity: f"  {one.verdict}" for one in solution.conformities}
-    table = [_row(*displayed) for displayed in solution.displayed[:LISTED]]
-    widths = [max(len(row[column]) for row in table) for column in range(4)]
+    listed = told(solution)
+    table = [_row(*displayed) for displayed in listed[:LISTED]]
+    widths = [max((len(row[column]) for row in table), default=0) for column in range(4)]
     for name, value, expanded, unit in table:
-        between = " ± " if expanded else "   "
-        line = (f"  {name:<{widths[0]}}  {value:>{widths[1]}}{between}{expanded or '(fixed)':<{widths[2]}}  {unit}"
-                f"{verdicts.get(name, '')}")
-        output.say(line.rstrip())
-    if len(solution.results.names) > LISTED:
-        output.say(f"  and {len(solution.results.names) - LISTED} more, in result.json and report.html (--out DIR)")
+        line = f"  {name:<{widths[0]}}  {value:>{widths[1]}} ± {expanded:<{widths[2]}}  {unit}"
+        output.say(f"{line}{verdicts.get(name, '')}".rstrip())
+    if len(listed) > LISTED:
+        output.say(f"  and {len(listed) - LISTED} more, in result.json and report.html (--out DIR)")
     output.say()
     output.prose(agreement(solution))
     for exclusion in solution.job.exclude:
@@ -101,7 +100,7 @@ def say(output: Output, solution: Solution) -> None:
                 output.prose(sentence, "  - ")
 
 
-def _row(name: str, value: float | None, u: float, unit: str) -> tuple[str, str, str, str]:
+def _row(name: str, value: float, u: float, unit: str) -> tuple[str, str, str, str]:
     return name, *numbers.with_uncertainty(value, 2.0 * u), "" if unit == "1" else unit
 
 

@@ -75,7 +75,7 @@ def html(solution: Solution, provenance: Provenance) -> str:
 
 def _answers(solution: Solution) -> Iterator[dict[str, str]]:
     verdicts = {one.quantity: one for one in solution.conformities}
-    for name, value, u, unit in solution.displayed[:ANSWERS]:
+    for name, value, u, unit in told(solution)[:ANSWERS]:
         shown, expanded = numbers.with_uncertainty(value, 2.0 * u)
         text = f"{shown} ± {expanded} {unit}" if expanded else f"{shown} {unit} (fixed)"
         judged = verdicts.get(name)
@@ -84,8 +84,13 @@ def _answers(solution: Solution) -> Iterator[dict[str, str]]:
         yield {"name": name, "value": text.removesuffix(" 1"), "verdict": verdict, "style": style}
 
 
+def told(solution: Solution) -> list[tuple[str, float, float, str]]:
+    """(name, value, u, unit) of the results a person is told: not what is held, nor the small angles of a direction."""
+    return [(name, value, u, unit) for name, value, u, unit in solution.displayed if value is not None and u > 0]
+
+
 def _coverage(solution: Solution) -> str:
-    left = len(solution.results.names) - ANSWERS
+    left = len(told(solution)) - ANSWERS
     more = f" {left} more results stand in the table below." if left > 0 else ""
     return f"Expanded uncertainty, k = 2 (about 95 %), from the stated uncertainties of readings and priors.{more}"
 

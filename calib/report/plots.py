@@ -23,6 +23,7 @@ _VARIABLES = {
     "#2ca02c": "var(--series-3)", "#9467bd": "var(--series-4)", "#d62728": "var(--warning)",
 }
 DRAWN = 3000       # points of one drawing; of more, every k-th is drawn and the caption says so
+RINGS = 12         # readings of one component that are ringed
 WIDTH = 7.2        # inches; the page scales the drawing to its column
 
 
@@ -51,18 +52,19 @@ def svg(figure: Figure, salt: str) -> str:
     return text.replace("<svg", '<svg role="img"', 1)
 
 
-def canvas(height: float, rows: int = 1, columns: int = 1, **keywords: Any) -> tuple[Figure, Any]:
+def canvas(height: float, fitted: bool = False) -> tuple[Figure, Any]:
     """An empty figure in the style of the page.
 
-    height: inches; rows, columns: of axes; keywords: for `Figure.subplots`.
+    height: inches; fitted: make room for labels of any length (slow); otherwise margins are fixed.
     return: the figure and its axes.
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
-    axes = figure.subplots(rows, columns, **keywords)
-    for one in np.ravel(axes):
-        style(one)
+    figure = Figure(figsize=(WIDTH, height), layout="constrained" if fitted else None)
+    axes = figure.subplots()
+    if not fitted:
+        figure.subplots_adjust(left=0.55 / WIDTH, right=1 - 0.08 / WIDTH, bottom=0.48 / height, top=1 - 0.26 / height)
+    style(axes)
     return figure, axes
 
 
@@ -92,10 +94,12 @@ def residuals(x: np.ndarray, w: np.ndarray, component: Sequence[str], x_label: s
     axes.axhline(0.0, color=FAINT, linewidth=0.8)
     for number, name in enumerate(names):
         chosen = np.flatnonzero(np.asarray(component) == name)[::step]
-        far = np.abs(w[chosen]) > 3.29
         colour = SERIES[number % len(SERIES)]
-        axes.scatter(x[chosen][~far], w[chosen][~far], s=16, color=colour, linewidths=0, label=name or None, alpha=0.85)
-        axes.scatter(x[chosen][far], w[chosen][far], s=42, facecolors="none", edgecolors=WARNING, linewidths=1.6)
+        axes.scatter(x[chosen], w[chosen], s=16, color=colour, linewidths=0, label=name or None, alpha=0.85)
+        far = chosen[np.abs(w[chosen]) > 3.29]
+        # Rings point out single readings; where many are far off, the cloud itself says so.
+        if len(far) <= RINGS:
+            axes.scatter(x[far], w[far], s=60, facecolors="none", edgecolors=WARNING, linewidths=1.4)
     axes.set_xlabel(x_label)
     axes.set_ylabel("residual / its σ")
     axes.set_ylim(-1.08 * max(3.5, np.max(np.abs(w), initial=0)), 1.08 * max(3.5, np.max(np.abs(w), initial=0)))
@@ -135,7 +139,7 @@ def budget(labels: Sequence[str], contributions: Sequence[float], unit: str) -> 
     labels, contributions: of the sources, in `unit`.
     return: the figure.
     """
-    figure, axes = canvas(0.75 + 0.27 * len(labels))
+    figure, axes = canvas(0.75 + 0.27 * len(labels), fitted=True)
     place = np.arange(len(labels))
     axes.barh(place, contributions, color=ACCENT, height=0.62)
     axes.set_yticks(place, labels)
@@ -151,7 +155,7 @@ def correlation(names: Sequence[str], matrix: np.ndarray) -> Figure:
     return: the figure.
     """
     size = len(names)
-    figure, axes = canvas(1.2 + 0.32 * size)
+    figure, axes = canvas(1.2 + 0.32 * size, fitted=True)
     for i in range(size):
         for j in range(i + 1):
             value = float(matrix[i, j])
