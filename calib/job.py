@@ -58,7 +58,8 @@ class Tolerance:
 class Job:
     """A job as read: paths, tables (without the excluded rows), settings by section.
 
-    problem: name of the problem module, or of the scenario or suffix that a problem module accepts.
+    problem: name of the problem module, or of the scenario or suffix that a problem module accepts; complete: the
+    tables with the excluded rows; files: the job, its tables in their order, then earlier results that it builds on.
     """
 
     path: Path
@@ -205,6 +206,7 @@ def _job(path: Path) -> Job:
     for name in settings.table("instruments"):
         settings.table("instruments").table(name).text("kind", None)
     priors = tuple(_prior(one, path.parent) for one in settings.tables("priors"))
+    sources += [one.earlier for one in priors if one.earlier is not None]
     exclude = tuple(_exclusion(one, complete) for one in settings.tables("exclude"))
     report = settings.table("report")
     return Job(

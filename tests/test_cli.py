@@ -106,6 +106,7 @@ def test_an_earlier_result_is_a_prior_with_its_covariance(calib, job, tmp_path):
     job.write_text(job.read_text() + f'\n[[priors]]\nfrom = "{tmp_path}/earlier/result.json"\nquantity = "plumb"\n')
     # The same readings twice: the estimate stays, its variance halves (the zero, unknown anew, only limits that).
     second = result(calib, job)
+    assert set(second["provenance"]["data"]) == {"job.toml", "level.csv", "result.json"}
     for one, other in zip(first["unknowns"], second["unknowns"]):
         if one["name"] == "plumb":
             assert other["value"] == pytest.approx(one["value"], abs=1e-6 * one["u"])

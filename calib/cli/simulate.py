@@ -59,10 +59,13 @@ def simulate(
 
 def _write(output: Output, job: Job, found: Simulated, content: dict[str, object]) -> list[Path]:
     written = [files.write_text(output.path(job.path.name), job.path.read_text(encoding="utf-8-sig"))]
-    for (name, table), path in zip(found.tables.items(), job.files[1:]):
+    tables = list(found.tables.values())
+    for place, path in enumerate(job.files[1:]):
         if not path.is_relative_to(job.path.parent):
-            raise InputError(f"{path}: table '{name}' does not lie below the job; move it there")
-        written.append(table.write(output.path(str(path.relative_to(job.path.parent)))))
+            raise InputError(f"{path}: does not lie below the job; move it there and name it so in the job")
+        target = output.path(str(path.relative_to(job.path.parent)))
+        is_table = place < len(tables)
+        written.append(tables[place].write(target) if is_table else files.write_bytes(target, path.read_bytes()))
     if found.loose:
         written.append(files.write_csv(output.path("simulated_readings.csv"), LOOSE, _loose(found)))
     return [*written, files.write_json(output.path("truth.json"), content)]
