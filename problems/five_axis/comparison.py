@@ -51,7 +51,7 @@ def reproduce() -> Reproduction:
     numbers = {key: one.number for key, one in printed.items() if one.number is not None}
     found = fits(published())
     as_printed = Fit.of(step_by_step.declare(published(as_printed=True)))
-    rounded = along_printed(numbers)
+    rounded = along_printed(numbers, published())
     special = {**_stated(found.step), **_paper_sigmas(found.step, numbers), **_worked_example(found.step), **_tracker()}
     items = [
         _fitted(key, one, found, as_printed, rounded, numbers)

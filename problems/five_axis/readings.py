@@ -26,6 +26,9 @@ TABLES = ("three_axis", "two_axis")
 WIRES = ("S3", "S2")
 INSTRUMENTS = ("T1", "T2")
 FIELD = 10 * degree
+# Directions that the printed readings are counted from: T1 and T2 horizontally, and the horizon.
+HORIZONTAL, T2_HORIZONTAL = (185 * 3600 + 29 * 60) * arcsec, (27 * 3600 + 20 * 60) * arcsec
+VERTICAL = 90 * degree
 SIGHTS = tuple(f"{i} {w}" for i in INSTRUMENTS for w in WIRES)
 NEAR_AND_FAR = {"pitch": ("A", "B"), "roll": ("C", "D"), "two_axis_pitch": ("E", "F")}
 

@@ -18,16 +18,14 @@ from calib import (
     variance_components,
 )
 from calib.analyse.covariance import Covariance
-from calib.units import arcsec, degree, mm
+from calib.units import arcsec, mm
 from problems.circle_sharing import Agreement, sharing
 
 from . import joint, step_by_step
 from .joint import Sharing
-from .readings import WIRES, Readings
+from .readings import HORIZONTAL, T2_HORIZONTAL, VERTICAL, WIRES, Readings
 
 TABLES = ("table 1", "table 2", "table 3", "table 4")
-HORIZONTAL, VERTICAL = (185 * 3600 + 29 * 60) * arcsec, 90 * degree
-T2_HORIZONTAL = (27 * 3600 + 20 * 60) * arcsec
 
 # Where a printed number stands: a sum of quantities with factors, less an origin.
 Place = Mapping[str, float]

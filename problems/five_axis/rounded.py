@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import hypot
 
-from calib.units import arcsec
+from calib.units import arcsec, mm
 
-from .formulas import Line, axis_point, line_through, mean_slope, off_the_sight, out_of_square, out_of_square_in_plan
-
-LENGTH = {"A": 987.5, "B": 1852.5, "C": 935.0, "D": 1280.0, "E": 517.0, "F": 2317.0}
-TO_YAW = {"T1": 1417.0, "T2": 1420.0}
-INDEX = 16.0
-# Fitted centres of section 5.1 counted as those of table 3: from 185d29m00s and 90d00m00s.
-TWO_AXIS_PITCH = {"E_hz": 86.0, "E_v": 103.0, "F_hz": -18.0, "F_v": 26.0}
+from .formulas import Line, axis_point, line_through, off_the_sight, out_of_square, out_of_square_in_plan
+from .readings import HORIZONTAL, VERTICAL, Readings
 
 
-def along_printed(printed: dict[str, float]) -> dict[str, float]:
+def along_printed(printed: Mapping[str, float], readings: Readings) -> dict[str, float]:
     """Results recomputed from the nearest printed intermediates.
 
-    printed: {key: printed number} of claims.csv, in its units. Returns {key: number} in the same units, for the keys
-    that have a printed intermediate.
+    printed: {key: printed number} of claims.csv, in its units; readings: for distances, index and printed centres.
+    Returns {key: number} in the same units, for the keys that have a printed intermediate.
     """
-    p = {**printed, **TWO_AXIS_PITCH}
+    length = {target: value / mm for target, (value, _) in readings.distance.items()}
+    p, index = dict(printed), (readings.index[0] - VERTICAL) / arcsec
+    for target, (h, v, _) in readings.centre.items():
+        p |= {f"{target}_hz": (h - HORIZONTAL) / arcsec, f"{target}_v": (v - VERTICAL) / arcsec}
     found = {
         "lev_dx": p["lev2_thx"] - p["lev3_thx"],
         "lev_dy": p["lev2_thy"] - p["lev3_thy"],
@@ -30,24 +29,24 @@ def along_printed(printed: dict[str, float]) -> dict[str, float]:
         "dY_ang": p["T2_S2_hz"] - p["T2_S3_hz"],
     }
     found |= {
-        "dX": off_the_sight(TO_YAW["T1"], p["dX_ang"] * arcsec, 0.0),
-        "dY": off_the_sight(TO_YAW["T2"], p["dY_ang"] * arcsec, 0.0),
+        "dX": off_the_sight(length["T1"], p["dX_ang"] * arcsec, 0.0),
+        "dY": off_the_sight(length["T2"], p["dY_ang"] * arcsec, 0.0),
     }
     found |= {"it8a": p["lev_dx"], "it8b": p["lev_dy"], "it9a": p["dX"], "it9b": p["dY"]}
-    for target, length in LENGTH.items():
+    for target in "ABCDEF":
         reading = (p[f"{target}_hz"] * arcsec, p[f"{target}_v"] * arcsec)
         _, found[f"{target}_y"], found[f"{target}_z"] = axis_point(
-            length, *reading, p["T1_S3_hz"] * arcsec, INDEX * arcsec
+            length[target], *reading, p["T1_S3_hz"] * arcsec, index * arcsec
         )
     pitch, roll, two = (
-        _line(p, near, far, key) for near, far, key in (("A", "B", "l8"), ("C", "D", "l9"), ("E", "F", "l10"))
+        _line(p, length, near, far, key) for near, far, key in (("A", "B", "l8"), ("C", "D", "l9"), ("E", "F", "l10"))
     )
     for (near, far), key in ((("A", "B"), "l8"), (("C", "D"), "l9"), (("E", "F"), "l10")):
-        points = [(LENGTH[t], p[f"{t}_y"], p[f"{t}_z"]) for t in (near, far)]
+        points = [(length[t], p[f"{t}_y"], p[f"{t}_z"]) for t in (near, far)]
         through = line_through(*points)
         found |= {f"{key}_dx": through.dx, f"{key}_dy": through.dy, f"{key}_dz": through.dz}
     found["l9_y0"] = p["C_y"]
-    crossing = TO_YAW["T1"]
+    crossing = length["T1"]
     (found["y1"], found["z1"]), (found["y2"], found["z2"]) = pitch.at(crossing), roll.at(crossing)
     found["y3"], z3 = two.at(crossing)
     found["yaw2_y"] = off_the_sight(crossing, found["dX_ang"] * arcsec, 0.0)
@@ -62,19 +61,14 @@ def along_printed(printed: dict[str, float]) -> dict[str, float]:
         "it10": z3 - p["z1"],
     }
     found |= {
-        "ex_thA": (p["A_v"] - INDEX) * arcsec,
-        "ex_thB": (p["B_v"] - INDEX) * arcsec,
+        "ex_thA": (p["A_v"] - index) * arcsec,
+        "ex_thB": (p["B_v"] - index) * arcsec,
         "ex_sigrad": 2.3 * arcsec,
-        "ex_prad": hypot(LENGTH["A"], LENGTH["B"]) / (LENGTH["B"] - LENGTH["A"]) * p["ex_sigrad"],
+        "ex_prad": hypot(length["A"], length["B"]) / (length["B"] - length["A"]) * p["ex_sigrad"],
     }
     return found
 
 
-def _line(p: dict[str, float], near: str, far: str, key: str) -> Line:
+def _line(p: Mapping[str, float], length: Mapping[str, float], near: str, far: str, key: str) -> Line:
     """A line as eq (8)-(10) print it, the base point taken from the text where the equation has another sign."""
-    return Line(LENGTH[near], p[f"{near}_y"], p[f"{near}_z"], p[f"{key}_dx"], p[f"{key}_dy"], p[f"{key}_dz"])
-
-
-def slope_from_angles(printed: dict[str, float]) -> float:
-    """The worked example p of eq (14) from the printed angles of A and B, in arcseconds."""
-    return mean_slope(printed["A_v"] - INDEX, printed["B_v"] - INDEX, LENGTH["A"], LENGTH["B"])
+    return Line(length[near], p[f"{near}_y"], p[f"{near}_z"], p[f"{key}_dx"], p[f"{key}_dy"], p[f"{key}_dz"])
