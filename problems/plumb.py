@@ -1,13 +1,13 @@
 """Plumb fit: the direction of vertical turning axes from a level that turns with them, over a part turn or a full one.
 
-The level reads its zero plus the inclination of its seat, eq (1) of Ren, Gao, Zhao (2015), J. Harbin Inst. Tech.
-47(10):
+The level reads its zero plus the inclination of its seat,
 
     reading = zero - theta_y cos(gamma) + theta_x sin(gamma)
 
 theta_x, theta_y are the plumb error of the axis; zero holds the zero of the level and the set of its seat against the
-axis.
-A known tilt may be applied to a table between set-ups. Several tables may be read; their parallelism is a result.
+axis. A known tilt may be applied to a table between set-ups. Several tables may be read; their parallelism is a result.
+
+Source: Ren, Gao, Zhao (2015), J. Harbin Inst. Tech. 47(10), eq (1)-(3).
 """
 
 from __future__ import annotations
