@@ -1,0 +1,346 @@
+"""Survey networks in the XML format of GNU Gama (.gkf), read into a Survey.
+
+Lengths in m with standard deviations in mm; angles in gon with standard deviations in cc (1e-4 gon), or as
+degrees-minutes-seconds with standard deviations in arcseconds. Every standard deviation is taken as stated.
+Source: GNU Gama manual, chapter 2, XML input data format for gama-local.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from calib import units
+from calib.errors import InputError
+from calib.units import arcsec, degree, gon, mm
+from problems.network.clusters import Record, batches
+from problems.network.survey import ADJUSTED, CONSTRAINED, FIXED, LEFT_HANDED, RIGHT_HANDED, Array, Point, Survey
+from problems.network.xml import Element, read_xml
+
+CC = 1e-4 * gon
+DEGREES = re.compile(r"\s*([+-]?)(\d+)-(\d+)-(\d+(?:\.\d*)?)\s*")
+ENDS = ("from", "to", "val", "stdev", "from_dh", "to_dh")
+READINGS = {
+    "direction": ("direction", ENDS[1:]),
+    "distance": ("distance", ENDS),
+    "s-distance": ("slope distance", ENDS),
+    "z-angle": ("zenith angle", ENDS),
+    "azimuth": ("azimuth", ENDS),
+    "angle": ("angle", ("from", "bs", "fs", "val", "stdev", "from_dh", "bs_dh", "fs_dh")),
+    "dh": ("height difference", ("from", "to", "val", "stdev", "dist")),
+}
+DEFAULTS = {"direction": "direction-stdev", "angle": "angle-stdev", "z-angle": "zenith-angle-stdev",
+            "azimuth": "azimuth-stdev", "distance": "distance-stdev", "s-distance": "distance-stdev"}
+PARAMETERS = ("sigma-apr", "sigma-act", "conf-pr", "tol-abs", "algorithm", "cov-band", "latitude", "ellipsoid",
+              "update-constrained-coordinates", "angular", "angles", "language", "encoding", "epoch")
+POINT = ("id", "x", "y", "z", "fix", "adj")
+
+
+@dataclass
+class _Network:
+    """What was read so far; settings: number of settings of the circle at each point."""
+
+    path: Path
+    sigma: float = 10.0
+    defaults: dict[str, str] = field(default_factory=dict)
+    points: dict[str, Point] = field(default_factory=dict)
+    lines: dict[str, int] = field(default_factory=dict)
+    clusters: list[tuple[list[Record], Array | None]] = field(default_factory=list)
+    settings: dict[str, int] = field(default_factory=dict)
+    row: int = 0
+
+    def wrong(self, element: Element, what: str) -> InputError:
+        return InputError(f"{self.path}, line {element.line}: <{element.tag}> {what}")
+
+
+def read_gkf(path: str | Path) -> Survey:
+    """Read a survey network.
+
+    path: of a .gkf file. Returns the survey; points without coordinates have positions that are not numbers.
+    Raises InputError naming file, line and what to do where the file is no network of this format, defines entities,
+    or contradicts itself.
+    """
+    path = Path(path)
+    root = read_xml(path)
+    network = root if root.tag == "network" else root.child("network")
+    if network is None:
+        raise InputError(f"{path}: has no <network> element; is it an input file of gama-local?")
+    found = _Network(path)
+    axes, angles = network.attributes.get("axes-xy", "ne"), network.attributes.get("angles", "left-handed")
+    _known(found, network, ("axes-xy", "angles", "epoch"))
+    if axes not in (*LEFT_HANDED, *RIGHT_HANDED):
+        raise found.wrong(network, f"axes-xy='{axes}' is not one of {', '.join((*LEFT_HANDED, *RIGHT_HANDED))}")
+    if angles not in ("left-handed", "right-handed"):
+        raise found.wrong(network, f"angles='{angles}' is neither left-handed (clockwise) nor right-handed")
+    a_posteriori = True
+    for parameters in network.children_of("parameters"):
+        _known(found, parameters, PARAMETERS)
+        for name in ("latitude", "ellipsoid"):
+            if name in parameters.attributes:
+                raise found.wrong(parameters, f"asks for reductions to an ellipsoid ({name}), which are not made here; "
+                                  f"reduce the readings to the plane and leave {name} out")
+        found.sigma = _positive(found, parameters, "sigma-apr", found.sigma)
+        a_posteriori = parameters.attributes.get("sigma-act", "aposteriori") == "aposteriori"
+    for section in network.children_of("points-observations"):
+        _section(found, section)
+    records, remarks = _taking_part(found)
+    loose, correlated = batches(records)
+    description = network.child("description")
+    title = "" if description is None else " ".join(description.text.split())
+    return Survey(found.points, loose, correlated, axes, angles == "left-handed", tuple(remarks), a_posteriori,
+                  f"network {path.stem}" + (f" ({title[:60]})" if title else ""))
+
+
+def _section(found: _Network, section: Element) -> None:
+    _known(found, section, ("distance-stdev", *sorted(set(DEFAULTS.values()) - {"distance-stdev"})))
+    found.defaults = dict(section.attributes)
+    for element in section.children:
+        if element.tag == "point":
+            _point(found, element)
+        elif element.tag == "obs":
+            _cluster(found, element, tuple(READINGS))
+        elif element.tag == "height-differences":
+            _cluster(found, element, ("dh",))
+        elif element.tag in ("vectors", "coordinates"):
+            _cluster(found, element, ("vec",) if element.tag == "vectors" else ("point",))
+        else:
+            raise found.wrong(element, "is not known here; there are: point, obs, height-differences, vectors, "
+                              "coordinates")
+
+
+def _known(found: _Network, element: Element, names: tuple[str, ...]) -> None:
+    for name in element.attributes:
+        if name not in (*names, "extern", "xmlns", "version"):
+            near = units.near_matches(name, list(names))
+            raise found.wrong(element, f"has an attribute '{name}' that is not known; "
+                              + (f"did you mean '{near[0]}'?" if near else f"there are: {', '.join(names)}"))
+
+
+# --- numbers ----------------------------------------------------------------------------------------------------------
+
+
+def _number(found: _Network, element: Element, name: str, default: float | None = None) -> float:
+    text = element.attributes.get(name)
+    if text is None or not text.strip():
+        if default is None:
+            raise found.wrong(element, f"has no {name}; add it")
+        return default
+    try:
+        value = float(text)
+    except ValueError:
+        raise found.wrong(element, f"{name}='{text}' is not a number; correct it") from None
+    if not math.isfinite(value):
+        raise found.wrong(element, f"{name}='{text}' is not a finite number; correct it or take the reading out")
+    return value
+
+
+def _positive(found: _Network, element: Element, name: str, default: float) -> float:
+    value = _number(found, element, name, default)
+    if value <= 0:
+        raise found.wrong(element, f"{name} is {value:g}; it must be positive")
+    return value
+
+
+def _angle(found: _Network, element: Element) -> tuple[float, str]:
+    """An angle [rad] and its display unit."""
+    text = element.attributes.get("val", "")
+    parts = DEGREES.fullmatch(text)
+    if parts is None:
+        value = _number(found, element, "val")
+        if abs(value) > 400.0:
+            raise found.wrong(element, f"val='{text}' gon is more than a full circle; angles are in gon, or in degrees "
+                              "written 123-45-56.7")
+        return value * gon, "gon"
+    sign, whole, minutes, seconds = parts.groups()
+    if int(minutes) >= 60 or float(seconds) >= 60 or int(whole) > 360:
+        raise found.wrong(element, f"val='{text}' is no angle in degrees, minutes and seconds; correct it")
+    size = (int(whole) + int(minutes) / 60 + float(seconds) / 3600) * degree
+    return -size if sign == "-" else size, "deg"
+
+
+def _key(found: _Network, element: Element, name: str, default: str = "") -> str:
+    key = element.attributes.get(name, default).strip()
+    if not key:
+        raise found.wrong(element, f"does not say {name} which point; add {name}=...")
+    return key
+
+
+# --- points and readings ----------------------------------------------------------------------------------------------
+
+
+def _point(found: _Network, element: Element) -> str:
+    _known(found, element, POINT)
+    key = _key(found, element, "id")
+    before = found.points.get(key, Point())
+    position = [_number(found, element, part, math.nan) if part in element.attributes else old
+                for part, old in zip("xyz", before.position, strict=True)]
+    if math.isnan(position[0]) != math.isnan(position[1]):
+        raise found.wrong(element, f"'{key}' has only one of x and y; give both or none")
+    if element.attributes.keys() & set("xyz") and any(
+        not math.isnan(old) and old != new for old, new in zip(before.position, position, strict=True)
+    ):
+        raise found.wrong(element, f"'{key}' was given other coordinates in line {found.lines[key]}; two points of one "
+                          "name, or one that moved: give each its own id, or delete one line")
+    plane, height = before.plane, before.height
+    for name in ("fix", "adj"):
+        text = element.attributes.get(name, "").strip()
+        if text not in ("", "xy", "xyz", "z", "XY", "XYZ", "XYz", "xyZ", "Z"):
+            raise found.wrong(element, f"'{key}' has {name}='{text}'; write xy, z or xyz (capitals: constrained)")
+        roles = {letter: FIXED if name == "fix" else CONSTRAINED if letter.isupper() else ADJUSTED for letter in text}
+        wanted = {letter.lower(): role for letter, role in roles.items()}
+        if "fix" in element.attributes and "adj" in element.attributes and name == "adj":
+            both = set(element.attributes["fix"].lower()) & set(text.lower())
+            if both:
+                raise found.wrong(element, f"'{key}' is both fixed and adjusted in {', '.join(sorted(both))}; "
+                                  "take one out")
+        plane, height = wanted.get("x", plane), wanted.get("z", height)
+    found.points[key] = Point((position[0], position[1], position[2]), plane, height)
+    found.lines.setdefault(key, element.line)
+    return key
+
+
+def _cluster(found: _Network, cluster: Element, allowed: tuple[str, ...]) -> None:
+    _known(found, cluster, ("from", "orientation", "from_dh"))
+    records: list[Record] = []
+    setting = cluster.attributes.get("from", "")
+    if any(child.tag == "direction" for child in cluster.children):
+        found.settings[setting] = found.settings.get(setting, 0) + 1
+        number = found.settings[setting]
+        setting = setting if number == 1 else f"{setting} ({number})"
+    matrix = cluster.child("cov-mat")
+    for element in cluster.children:
+        if element.tag == "cov-mat":
+            continue
+        if element.tag not in allowed:
+            raise found.wrong(element, f"does not belong into <{cluster.tag}>; there are: {', '.join(allowed)}")
+        records += [replace(r, setting=setting) for r in _records(found, element, cluster)]
+    missing = [r for r in records if any(u is None for u in r.u)]
+    if matrix is None and missing:
+        what = "a covariance matrix" if missing[0].kind in ("vector", "coordinates", "plane coordinates", "height") \
+            else "a stdev, or its default in <points-observations>"
+        raise InputError(f"{found.path}, line {missing[0].line}: the {missing[0].kind} has no uncertainty; add {what}")
+    covariance = None
+    if matrix is not None:
+        scale = np.array([s for r in records for s in r.scale])
+        covariance = _banded(found, matrix, len(scale)) * np.outer(scale, scale)
+    found.clusters.append((records, covariance))
+
+
+def _records(found: _Network, element: Element, cluster: Element) -> Iterator[Record]:
+    if element.tag == "point":
+        key = _point(found, element)
+        given = {p: _number(found, element, p) for p in "xyz" if p in element.attributes}
+        if not given:
+            raise found.wrong(element, f"'{key}' in <coordinates> has neither x and y nor z; give what was observed")
+        kind = {"xyz": "coordinates", "xy": "plane coordinates", "z": "height"}["".join(given)]
+        yield _record(found, element, kind, (key, "", ""), tuple(given.values()), (None,) * len(given), mm, "m")
+        return
+    start = cluster.attributes.get("from", "")
+    if element.tag == "vec":
+        _known(found, element, ("from", "to", "dx", "dy", "dz", "from_dh", "to_dh"))
+        values = tuple(_number(found, element, name) for name in ("dx", "dy", "dz"))
+        ends = (_key(found, element, "from"), _key(found, element, "to"), "")
+        yield _record(found, element, "vector", ends, values, (None,) * 3, mm, "m")
+        return
+    kind, names = READINGS[element.tag]
+    _known(found, element, names)
+    if element.tag == "direction" and not start:
+        raise found.wrong(cluster, "holds directions and does not say from which point; add from=...")
+    back = ""
+    if element.tag == "angle":
+        back, target = _key(found, element, "bs"), _key(found, element, "fs")
+    else:
+        target = _key(found, element, "to")
+    ends = (_key(found, element, "from", start), target, back)
+    if len({*ends} - {""}) < (3 if back else 2):
+        raise found.wrong(element, f"goes from point '{ends[0]}' to itself; correct the ids")
+    if element.tag in ("direction", "azimuth", "angle", "z-angle"):
+        value, unit = _angle(found, element)
+        scale = CC if unit == "gon" else arcsec
+    else:
+        value, unit, scale = _number(found, element, "val"), "m", mm
+        if "distance" in kind and value <= 0:
+            raise found.wrong(element, f"val is {value:g} m; a distance is positive")
+    u = _stated(found, element, value)
+    yield _record(found, element, kind, ends, (value,), (None if u is None else u * scale,), scale, unit,
+                  _number(found, cluster, "from_dh", 0.0))
+
+
+def _record(found: _Network, element: Element, kind: str, ends: tuple[str, str, str], values: tuple[float, ...],
+            u: tuple[float | None, ...], scale: float, unit: str, from_dh: float = 0.0) -> Record:
+    found.row += 1
+    heights = (_number(found, element, "from_dh", from_dh), _number(found, element, "to_dh", 0.0))
+    return Record(kind, ends, values, u, (scale,) * len(values), unit, heights, "", found.row, element.line)
+
+
+def _stated(found: _Network, element: Element, value: float) -> float | None:
+    """Standard deviation in mm, cc or arcseconds; None where nothing states it."""
+    if "stdev" in element.attributes:
+        return _positive(found, element, "stdev", 0.0)
+    if element.tag == "dh":
+        return found.sigma * math.sqrt(_positive(found, element, "dist", 0.0)) if "dist" in element.attributes else None
+    text = found.defaults.get(DEFAULTS[element.tag])
+    if text is None:
+        return None
+    try:
+        constant, per_km, power = [*map(float, text.split()), *(0.0, 1.0)[max(0, len(text.split()) - 1):]][:3]
+    except ValueError:
+        raise found.wrong(element, f"{DEFAULTS[element.tag]}='{text}' is not one to three numbers; correct it") from None
+    return constant + per_km * (abs(value) / 1000.0) ** power if "distance" in element.tag else constant
+
+
+def _banded(found: _Network, element: Element, size: int) -> Array:
+    """Symmetric matrix from the rows of its upper band."""
+    dim, band = int(_number(found, element, "dim")), int(_number(found, element, "band"))
+    try:
+        numbers = [float(text) for text in element.text.split()]
+    except ValueError as error:
+        raise found.wrong(element, f"holds what is no number ({error}); correct it") from None
+    if dim != size:
+        raise found.wrong(element, f"has dim={dim} for {size} readings; they must be equal")
+    expected = sum(min(band, dim - 1 - i) + 1 for i in range(dim))
+    if len(numbers) != expected:
+        raise found.wrong(element, f"has {len(numbers)} numbers; dim={dim} and band={band} need {expected}")
+    matrix, taken = np.zeros((dim, dim)), 0
+    for i in range(dim):
+        width = min(band, dim - 1 - i) + 1
+        matrix[i, i : i + width] = matrix[i : i + width, i] = numbers[taken : taken + width]
+        taken += width
+    if np.linalg.eigvalsh(matrix)[0] <= 0:
+        raise found.wrong(element, "is not positive definite; a correlation is wrong, or a variance is zero")
+    return matrix
+
+
+def _taking_part(found: _Network) -> tuple[list[tuple[list[Record], Array | None]], list[str]]:
+    """The readings between points that have the coordinates they need, and sentences about the others."""
+    from problems.network.models import KINDS
+
+    kept, left_out = [], {}
+    for records, covariance in found.clusters:
+        stays = []
+        for record in records:
+            bad = ""
+            for key in filter(None, record.ends):
+                if key not in found.points:
+                    near = units.near_matches(key, list(found.points))
+                    hint = f"did you mean '{near[0]}'? Else " if near else ""
+                    raise InputError(f"{found.path}, line {record.line}: there is no point '{key}'; {hint}add a "
+                                     f"<point id='{key}'> with fix or adj")
+                if not found.points[key].has(KINDS[record.kind].needs):
+                    bad = bad or key
+            if bad:
+                left_out.setdefault((bad, record.kind, KINDS[record.kind].needs), []).append(record.row)
+            stays.append(not bad)
+        inside = np.repeat(stays, [len(r.values) for r in records])
+        kept.append(([r for r, s in zip(records, stays, strict=True) if s],
+                     None if covariance is None else covariance[np.ix_(inside, inside)]))
+    return kept, [
+        f"{len(rows)} reading(s) of kind {kind} (row {', '.join(map(str, rows[:5]))}{' ...' if rows[5:] else ''}) "
+        f"take no part: point '{key}' is neither fixed nor adjusted in {needs}; write fix or adj with {needs} to use them."
+        for (key, kind, needs), rows in left_out.items()
+    ]
