@@ -73,17 +73,23 @@ class Job:
     quantities: tuple[str, ...] = ()
     certificate: Mapping[str, Any] = field(default_factory=dict)
     files: tuple[Path, ...] = ()
+    data_folder: Path | None = None
 
     @staticmethod
-    def read(path: str | Path) -> Job:
+    def read(path: str | Path, data_folder: Path | None = None) -> Job:
         """Read a job.
 
         path: a .toml file, a folder with case.toml and measurements.csv, or a file of another suffix that a problem
-        module accepts (that module reads it).
+        module accepts (that module reads it); data_folder: where a problem looks for large files that options name.
         return: the job.
         raises InputError naming file, line, key or column, and what to do.
         """
-        path = Path(path)
+        if data_folder is not None and not data_folder.is_dir():
+            raise InputError(f"{data_folder}: there is no such folder of data; check the path after --data")
+        return dataclasses.replace(Job._read(Path(path)), data_folder=data_folder)
+
+    @staticmethod
+    def _read(path: Path) -> Job:
         if path.is_dir():
             if not (path / "case.toml").is_file():
                 raise InputError(f"{path}: is a folder without case.toml; give the job file itself")

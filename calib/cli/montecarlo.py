@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from calib import catalogue, files, units
-from calib.cli.output import DONE, FAILED, Output, job_argument, output_options, problem_file_option, typed
+from calib.cli.output import DONE, FAILED, Output, job_options, output_options, typed
 from calib.cli.solve import content_of, method_of, method_option
 from calib.job import Job
 from calib.report import numbers
@@ -20,20 +20,21 @@ from calib.workflow.solution import requested, solved
 
 
 @click.command()
-@job_argument
+@job_options
 @click.option("--trials", type=click.IntRange(100, 100_000_000), default=20_000, show_default=True)
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
 @method_option
-@problem_file_option
 @output_options
-def montecarlo(job: Path, trials: int, seed: int, method: str, problem_file: Path | None, output: Output) -> int:
+def montecarlo(
+    job: Path, data_folder: Path | None, problem_file: Path | None, trials: int, seed: int, method: str, output: Output
+) -> int:
     """Solve JOB, then solve it again with readings drawn anew around the estimate, trial after trial.
 
     With --out: montecarlo.json and samples.npz.
     """
     from calib.report.provenance import provenance
 
-    read = Job.read(job)
+    read = Job.read(job, data_folder)
     solution = solved(read, catalogue.module(read.problem, problem_file), method_of(method))
     wanted = sampled(solution.problem, requested(solution.problem, read.quantities, read.report.where("quantities")))
     with output.progress(f"{trials} trials", -(-trials // CHUNK)) as step:

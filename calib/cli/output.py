@@ -93,7 +93,15 @@ problem_file_option = click.option(
     "--problem-file", type=click.Path(path_type=Path), metavar="FILE",
     help="Your own problem file; it replaces the problem that the job names.",
 )
-job_argument = click.argument("job", type=click.Path(path_type=Path))
+data_option = click.option(
+    "--data", "data_folder", type=click.Path(path_type=Path), metavar="PATH",
+    help="Folder of data files that the job's options name.",
+)
+
+
+def job_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the argument JOB and the options --data and --problem-file to a command."""
+    return click.argument("job", type=click.Path(path_type=Path))(data_option(problem_file_option(command)))
 
 
 def typed() -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from calib import catalogue, files, units
-from calib.cli.output import DONE, Output, job_argument, output_options, problem_file_option, typed
+from calib.cli.output import DONE, Output, job_options, output_options, typed
 from calib.cli.solve import method_of, method_option
 from calib.errors import InputError
 from calib.job import Job
@@ -19,15 +19,15 @@ LOOSE = ("group", "row", "component", "reading", "unit")
 
 
 @click.command()
-@job_argument
+@job_options
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
 @click.option("--with-effect", "effects", multiple=True, metavar="NAME=VALUE",
               help="Switch an effect on, as in --with-effect \"drift=0.4 arcsec/h\"; may be repeated.")
 @method_option
-@problem_file_option
 @output_options
 def simulate(
-    job: Path, seed: int, effects: tuple[str, ...], method: str, problem_file: Path | None, output: Output
+    job: Path, data_folder: Path | None, problem_file: Path | None, seed: int, effects: tuple[str, ...], method: str,
+    output: Output,
 ) -> int:
     """Solve JOB and draw new readings around its estimate, with errors as stated and effects as asked.
 
@@ -35,7 +35,7 @@ def simulate(
     """
     from calib.report.provenance import provenance
 
-    read = Job.read(job)
+    read = Job.read(job, data_folder)
     problem = declared(read, catalogue.module(read.problem, problem_file))
     estimate = solve(problem, method_of(method))
     found = simulated(read, problem, estimate, seed, _effects(effects))

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from calib import catalogue, files
-from calib.cli.output import DONE, FAILED, Output, job_argument, output_options, problem_file_option, typed
+from calib.cli.output import DONE, FAILED, Output, job_options, output_options, typed
 from calib.job import Job
 from calib.report import numbers
 from calib.solve.gauss_newton import GaussNewton
@@ -36,11 +36,12 @@ method_option = click.option("--method", type=click.Choice(METHODS), default=MET
 
 
 @click.command()
-@job_argument
+@job_options
 @method_option
-@problem_file_option
 @output_options
-def solve(job: Path, method: str, problem_file: Path | None, output: Output) -> int:
+def solve(
+    job: Path, data_folder: Path | None, problem_file: Path | None, method: str, output: Output
+) -> int:
     """Solve JOB (a .toml file, a case folder, or a file that a problem accepts).
 
     With --out: result.json, observations.csv and report.html.
@@ -48,7 +49,7 @@ def solve(job: Path, method: str, problem_file: Path | None, output: Output) -> 
     from calib.report import observations, page, result
     from calib.report.provenance import provenance
 
-    read = Job.read(job)
+    read = Job.read(job, data_folder)
     module = catalogue.module(read.problem, problem_file)
     with output.progress(f"solving {job.name}", 1) as step:
         solution = solved(read, module, method_of(method))
@@ -92,6 +93,9 @@ def say(output: Output, solution: Solution) -> None:
     for exclusion in solution.job.exclude:
         left_out = ", ".join(map(str, exclusion.rows))
         output.prose(f"Left out, table {exclusion.table}, row {left_out}: {exclusion.reason}")
+    for gap in solution.heldout:
+        before, after = numbers.plain(gap.before), numbers.plain(gap.after)
+        output.say(f"Held out, {gap.quantity}: {before} {gap.unit} before, {after} {gap.unit} after")
     limits = (*solution.remarks, *solution.weak)
     for heading, lines in (("To adjust:", solution.advice), ("Cannot be known, or hardly:", limits)):
         if lines:

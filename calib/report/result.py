@@ -46,6 +46,7 @@ def content(solution: Solution, provenance: Provenance) -> dict[str, Any]:
         "budgets": [_budget(one) for one in solution.budgets],
         "tolerances": [_conformity(one) for one in solution.conformities],
         "excluded": _excluded(solution),
+        "heldout": files.plain(solution.heldout),
         "remarks": [*solution.remarks, *solution.weak],
         "advice": list(solution.advice),
         "certificate_data": dict(_dated(solution)),

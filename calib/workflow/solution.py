@@ -40,13 +40,23 @@ class Coverage:
 
 
 @dataclass(frozen=True)
+class HeldOut:
+    """A gap on readings that the estimate did not use, before and after the identification, in the unit named."""
+
+    quantity: str
+    before: float
+    after: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class Solution:
     """A solved job with its analyses.
 
     results: the requested quantities with their covariance; results_vc, coverage: the same with estimated variance
     components; u_of: u (SI) of every unknown, (count, freedom), not a number where held; including: the results with
     the excluded rows back in; remarks, advice: sentences of the problem module: what no reading shows, what to adjust;
-    weak: what the readings hardly tell apart.
+    weak: what the readings hardly tell apart; heldout: gaps on readings that were not used.
     """
 
     job: Job
@@ -67,6 +77,7 @@ class Solution:
     including_refused: str = ""
     remarks: tuple[str, ...] = ()
     weak: tuple[str, ...] = ()
+    heldout: tuple[HeldOut, ...] = ()
     advice: tuple[str, ...] = ()
     named_by_key: tuple[str, ...] = ()
 
@@ -134,6 +145,7 @@ def solved(job: Job, module: ModuleType, method: Method) -> Solution:
         including_refused=why,
         remarks=tuple(module.remarks(job)) if hasattr(module, "remarks") else (),
         weak=_weak(problem, results),
+        heldout=tuple(HeldOut(*one) for one in module.heldout(job, estimate)) if hasattr(module, "heldout") else (),
         advice=tuple(module.advice(fit)) if hasattr(module, "advice") else (),
         named_by_key=tuple(getattr(module, "named_by_key", ())),
     )
