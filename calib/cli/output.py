@@ -98,10 +98,12 @@ data_option = click.option(
     help="Folder of data files that the job's options name.",
 )
 
+job_argument = click.argument("job", type=click.Path(path_type=Path))
+
 
 def job_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the argument JOB and the options --data and --problem-file to a command."""
-    return click.argument("job", type=click.Path(path_type=Path))(data_option(problem_file_option(command)))
+    return job_argument(data_option(problem_file_option(command)))
 
 
 def typed() -> str:
