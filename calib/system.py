@@ -210,6 +210,26 @@ class System:
         ]
         return np.concatenate(pieces)
 
+    def rounding(self, values: Values, weightings: Sequence[Weighting]) -> float:
+        """Size in units of u of the rounding of all predictions and of the values themselves (a coordinate of 6000 km
+        is known to 1 nm), below which no step can be told from noise."""
+        total = 0.0
+        for term, weighting in zip(self.terms, weightings, strict=True):
+            predicted, parts = term.derive(values)
+            total += float(np.sum((predicted / weighting.u) ** 2))
+            for part in parts:
+                stored = self._stored(values, part.columns)
+                total += float(np.sum((part.jacobian * stored[:, None, :] / weighting.u[:, :, None]) ** 2))
+        return 8 * float(np.finfo(float).eps) * float(np.sqrt(total))
+
+    def _stored(self, values: Values, columns: Array) -> Array:
+        """Size of the stored number behind each column; 1 for those of rotations and directions."""
+        sizes = [
+            np.abs(values[u]).ravel() if u.kind == "vector" else np.ones(u.count * u.freedom)
+            for u in self.layout.unknowns
+        ]
+        return np.concatenate(sizes)[columns]
+
     def blocks(self, values: Values, weightings: Sequence[Weighting]) -> list[Block]:
         """All whitened residuals with the derivatives of the predictions with respect to what is free."""
         blocks = []

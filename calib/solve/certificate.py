@@ -80,7 +80,8 @@ def certify(
     if len(layout.free_columns) <= CURVATURE_SIZE and not factor.defect:
         curvature = _curvature(system.second_order(values, weightings, multipliers[: len(matrix)]), factor)
     reasons = []
-    if not stationarity <= STATIONARITY:
+    # No step below the rounding of the values themselves can be taken.
+    if not (stationarity <= STATIONARITY or stationarity <= system.rounding(values, weightings)):
         reasons.append(f"a step of {stationarity:.1e} u remains")
     if not feasibility <= 1.0:
         reasons.append(f"a condition is missed by {feasibility:.1e} of its tolerance")

@@ -46,7 +46,7 @@ class GaussNewton(Method):
         here = _Point.at(system, values, weightings)
         if not np.isfinite(here.objective):
             system.blocks(values, weightings)  # raises the sentence that names row and model
-        floor, damping, growth, penalty, last = _rounding(system, values, weightings), 0.0, 2.0, 0.0, float("inf")
+        floor, damping, growth, penalty, last = system.rounding(values, weightings), 0.0, 2.0, 0.0, float("inf")
         lengths, slow = here.squares, 0
         message = "stopped at the limit of iterations"
         for iteration in range(1, self.iterations + 1):
@@ -148,12 +148,6 @@ class _Point:
         full[layout.free_columns] = step
         changes = [(b.residual, b.times(full)) for b in self.blocks]
         return float(sum(np.vdot(c, 2 * r - c) for r, c in changes))
-
-
-def _rounding(system: System, values: Values, weightings: Sequence[Weighting]) -> float:
-    """Size in units of u of the rounding of all predictions, below which no step can be told from noise."""
-    size = [np.linalg.norm(t.predict(values) / w.u) for t, w in zip(system.terms, weightings, strict=True)]
-    return 8 * float(np.finfo(float).eps * np.linalg.norm(size))
 
 
 def _moved(layout: Layout, values: Values, step: Array, room: tuple[Array, Array]) -> dict[Unknown, Array]:
