@@ -74,6 +74,7 @@ def test_every_method_gives_the_same_answer_through_the_command(calib, job):
                 assert entry["value"] == pytest.approx(entries[0]["value"], abs=1e-8 * entry["u"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_every_example_can_be_solved(calib, tmp_path, name):
     short = name.removeprefix("problems.")
