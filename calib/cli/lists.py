@@ -61,9 +61,14 @@ def problems(name: str | None, output: Output) -> int:
     output.result(described)
     output.say(f"{described['name']}: {described['summary']}{_source(described['source'])}\n")
     output.say(described["job"])
-    for heading in ("columns", "options"):
-        for key, meaning in described[heading].items():
-            output.say(f"  {heading[:-1]} {key}: {meaning}")
+    for table, columns in described["columns"].items():
+        output.say(f"\n[data.{table}]")
+        for column, meaning in columns.items():
+            output.say(f"  {column}: {meaning}".removesuffix(": "))
+    if described["options"]:
+        output.say("\n[options]")
+    for key, meaning in described["options"].items():
+        output.say(f"  {key}: {meaning}")
     return DONE
 
 
