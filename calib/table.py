@@ -111,7 +111,8 @@ class Table:
         elif column.dimension != dimension:
             raise InputError(f"{where}: '{unit}' is a unit of {column.dimension}, where {_article(dimension)} "
                              f"is wanted; correct the header, as in {_example(column.name, dimension)}")
-        return np.array([self._read(row, column, unit) for row in range(len(self))])
+        place = self.columns.index(column)
+        return np.array([self._read(row, place, unit) for row in range(len(self))])
 
     def whole(self, name: str) -> np.ndarray:
         """The whole numbers of a column without unit (counts, faces, blocks, directions).
@@ -135,7 +136,8 @@ class Table:
         raises InputError for a missing column or an empty cell.
         """
         column = self.column(name)
-        values = [row[self.columns.index(column)].strip() for row in self.cells]
+        index = self.columns.index(column)
+        values = [row[index].strip() for row in self.cells]
         for row, value in enumerate(values):
             if not value and not may_be_empty:
                 raise InputError(f"{self.place(row, column)}: the cell is empty; write the name that belongs there")
@@ -187,11 +189,11 @@ class Table:
         """
         return files.write_csv(path, [column.header for column in self.columns], self.cells, self.source)
 
-    def _read(self, row: int, column: Column, unit: str) -> float:
+    def _read(self, row: int, place: int, unit: str) -> float:
         try:
-            return columns.number(self.cells[row][self.columns.index(column)], unit, self.decimal)
+            return columns.number(self.cells[row][place], unit, self.decimal)
         except InputError as error:
-            raise InputError(f"{self.place(row, column)}: {error}") from None
+            raise InputError(f"{self.place(row, self.columns[place])}: {error}") from None
 
     def _refuse_repeated_rows(self) -> None:
         first: dict[tuple[str, ...], int] = {}
