@@ -11,6 +11,7 @@ from calib import Problem
 from calib.job import Job
 from problems.network.declare import declare, settle
 from problems.network.gkf import read_gkf
+from problems.network.start import positions
 from problems.network.survey import Batch, Point, Survey
 
 accepts = ("problems.network", "network", ".gkf")
@@ -19,7 +20,7 @@ named_by_key = ("point",)
 
 def from_job(job: Job) -> Problem:
     """Declare the network of a .gkf file."""
-    return declare(settle(read_gkf(job.path)))
+    return declare(settle(positions(read_gkf(job.path))))
 
 
-__all__ = ["Batch", "Point", "Survey", "declare", "from_job", "read_gkf", "settle"]
+__all__ = ["Batch", "Point", "Survey", "declare", "from_job", "positions", "read_gkf", "settle"]

@@ -19,6 +19,7 @@ from calib import units
 from calib.errors import InputError
 from calib.units import arcsec, degree, gon, mm
 from problems.network.clusters import Record, batches
+from problems.network.models import KINDS
 from problems.network.survey import ADJUSTED, CONSTRAINED, FIXED, LEFT_HANDED, RIGHT_HANDED, Array, Point, Survey
 from problems.network.xml import Element, read_xml
 
@@ -47,6 +48,8 @@ class _Network:
 
     path: Path
     sigma: float = 10.0
+    sense: float = 1.0
+    turned: list[int] = field(default_factory=list)
     defaults: dict[str, str] = field(default_factory=dict)
     points: dict[str, Point] = field(default_factory=dict)
     lines: dict[str, int] = field(default_factory=dict)
@@ -77,6 +80,7 @@ def read_gkf(path: str | Path) -> Survey:
         raise found.wrong(network, f"axes-xy='{axes}' is not one of {', '.join((*LEFT_HANDED, *RIGHT_HANDED))}")
     if angles not in ("left-handed", "right-handed"):
         raise found.wrong(network, f"angles='{angles}' is neither left-handed (clockwise) nor right-handed")
+    found.sense = Survey({}, (), axes=axes, clockwise=angles == "left-handed").sense
     a_posteriori = True
     for parameters in network.children_of("parameters"):
         _known(found, parameters, PARAMETERS)
@@ -90,6 +94,12 @@ def read_gkf(path: str | Path) -> Survey:
         _section(found, section)
     records, remarks = _taking_part(found)
     loose, correlated = batches(records)
+    if found.turned:
+        remarks.append(
+            f"Axes {axes} and {angles} angles turn against each other: as gama-local does, the covariance matrices "
+            f"(lines {', '.join(map(str, found.turned[:5]))}{' ...' if found.turned[5:] else ''}) are taken with y "
+            "reversed. If they hold for the axes of the file, write angles that turn with the axes."
+        )
     description = network.child("description")
     title = "" if description is None else " ".join(description.text.split())
     return Survey(found.points, loose, correlated, axes, angles == "left-handed", tuple(remarks), a_posteriori,
@@ -228,6 +238,14 @@ def _cluster(found: _Network, cluster: Element, allowed: tuple[str, ...]) -> Non
     if matrix is not None:
         scale = np.array([s for r in records for s in r.scale])
         covariance = _banded(found, matrix, len(scale)) * np.outer(scale, scale)
+        # In a system whose axes and circles turn against each other gama-local turns the axis y of all that is read,
+        # and leaves the matrices as they stand: their correlations are those with the turned y.
+        turned = np.array([found.sense if name in ("y", "dy") else 1.0 for r in records
+                           for name in KINDS[r.kind].components])
+        signs = np.outer(turned, turned)
+        if np.any(covariance != covariance * signs):
+            found.turned.append(matrix.line)
+        covariance = covariance * signs
     found.clusters.append((records, covariance))
 
 
@@ -318,8 +336,6 @@ def _banded(found: _Network, element: Element, size: int) -> Array:
 
 def _taking_part(found: _Network) -> tuple[list[tuple[list[Record], Array | None]], list[str]]:
     """The readings between points that have the coordinates they need, and sentences about the others."""
-    from problems.network.models import KINDS
-
     kept, left_out = [], {}
     for records, covariance in found.clusters:
         stays = []

@@ -1,0 +1,82 @@
+"""Approximate coordinates from ranges alone: classical scaling of distances along shortest paths."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.errors import InputError
+from problems.network.survey import Survey
+
+
+def scaled(survey: Survey, known: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Positions (3,) of all points that ranges join, laid onto those that are known.
+
+    Distances that were not read are taken along the shortest path of those that were; the result is improved by
+    majorising (each step lowers the misfit), and mirrored where that fits the known points better.
+    Raises InputError naming a point that no range joins to the others.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import shortest_path
+
+    dim = 3 if "z" in survey.parts else 2
+    pairs = [(a, b, float(v)) for batch in survey.every_batch if batch.values is not None
+             for a, b, v in zip(*(k.tolist() for k in batch.ends), batch.values[:, 0], strict=True)]
+    keys = list(dict.fromkeys(k for a, b, _ in pairs for k in (a, b)))
+    place = {key: i for i, key in enumerate(keys)}
+    fixed = [k for k in keys if np.isfinite(known[k][:dim]).all()]
+    pairs += [(a, b, float(np.linalg.norm(known[a][:dim] - known[b][:dim])))
+              for i, a in enumerate(fixed) for b in fixed[i + 1 :] if not np.array_equal(known[a], known[b])]
+    i, j = np.array([[place[a], place[b]] for a, b, _ in pairs]).T
+    read = np.array([v for *_, v in pairs])
+    graph = coo_matrix((read, (np.minimum(i, j), np.maximum(i, j))), (len(keys), len(keys))).tocsr()
+    if graph.nnz < len(read):                          # a pair that was read twice: its mean
+        count = coo_matrix((np.ones(len(read)), (np.minimum(i, j), np.maximum(i, j))), graph.shape).tocsr()
+        graph.data /= count.data
+    whole = shortest_path(graph, directed=False)
+    if not np.isfinite(whole).all():
+        alone = [k for k, far in zip(keys, np.isinf(whole[0]), strict=True) if far]
+        raise InputError(f"no chain of ranges joins {', '.join(repr(k) for k in alone[:5])} to '{keys[0]}'; add ranges "
+                         "between the two parts")
+    found = _majorised(_classical(whole, dim), i, j, read)
+    anchors = [place[k] for k in fixed]
+    if anchors:
+        found = _laid(found, anchors, np.array([known[k][:dim] for k in fixed]))
+    return {k: np.concatenate([p, [np.nan] * (3 - dim)]) if k not in fixed else known[k]
+            for k, p in zip(keys, found, strict=True)}
+
+
+def _classical(distances: np.ndarray, dim: int) -> np.ndarray:
+    n = len(distances)
+    centring = np.eye(n) - 1.0 / n
+    values, axes = np.linalg.eigh(-0.5 * centring @ distances**2 @ centring)
+    return axes[:, -dim:] * np.sqrt(np.maximum(values[-dim:], 0.0))
+
+
+def _majorised(place: np.ndarray, i: np.ndarray, j: np.ndarray, read: np.ndarray) -> np.ndarray:
+    """Lower the sum of squared misfits of the ranges themselves (Guttman transform; de Leeuw, 1977)."""
+    n = len(place)
+    laplacian = np.zeros((n, n))
+    np.add.at(laplacian, (i, j), -1.0)
+    np.add.at(laplacian, (j, i), -1.0)
+    laplacian -= np.diag(laplacian.sum(axis=1))
+    inverse = np.linalg.pinv(laplacian)
+    for _ in range(500):
+        apart = place[i] - place[j]
+        length = np.linalg.norm(apart, axis=1)
+        ratio = np.where(length > 0, read / np.where(length > 0, length, 1.0), 0.0)
+        right = np.zeros_like(place)
+        np.add.at(right, i, ratio[:, None] * apart)
+        np.add.at(right, j, -ratio[:, None] * apart)
+        moved = inverse @ right
+        change = float(np.abs(moved - (place - place.mean(axis=0))).max())
+        place = moved
+        if change < 1e-6 * float(read.max()):
+            break
+    return place
+
+
+def _laid(place: np.ndarray, anchors: list[int], target: np.ndarray) -> np.ndarray:
+    """Turned, mirrored where that is better, and shifted onto anchors (Kabsch)."""
+    own, middle = place[anchors], target.mean(axis=0)
+    left, _, right = np.linalg.svd((own - own.mean(axis=0)).T @ (target - middle))
+    return (place - own.mean(axis=0)) @ (left @ right) + middle
