@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.blocks import Array, Block
+from calib.blocks import Array, Block, Part
 from calib.layout import Layout
 from calib.unknown import Unknown
 
@@ -118,15 +118,94 @@ class DenseFactor:
 
     def between(self, first: Index, second: Index) -> Array:
         """Covariances (m, f, g) of free columns first (m, f) with second (m, g); -1 stands for a held column."""
-        block = self.matrix[first[:, :, None], second[:, None, :]]
+        block = _gathered(self.matrix, first, second)
         return block * (first >= 0)[:, :, None] * (second >= 0)[:, None, :]
 
 
-class EliminatedFactor:
-    """Normal equations with the many small independent blocks of one unknown eliminated.
+def _gathered(matrix: Array, rows: Index, columns: Index) -> Array:
+    """Elements (m, f, g) of a matrix at rows (m, f) and columns (m, g); -1 gathers anything."""
+    return matrix.ravel().take(rows[:, :, None] * matrix.shape[1] + columns[:, None, :], mode="wrap")
 
-    Same attributes as DenseFactor; `order`: (p,) free columns with the eliminated ones first.
+
+@dataclass(frozen=True)
+class _Sums:
+    """Normal equations of one eliminated unknown of m instances with f columns, and the S other free columns.
+
+    inner (m, f, f), cross (m, f, S), outer (S, S): blocks of J'J; pull_inner (m, f), pull_outer (S,): J'r.
     """
+
+    inner: Array
+    cross: Array
+    outer: Array
+    pull_inner: Array
+    pull_outer: Array
+
+    @staticmethod
+    def of(blocks: Sequence[Block], instance: Index, slot: Index, m: int, f: int, size: int) -> _Sums:
+        """Accumulate blocks.
+
+        instance: of every column, m where it is not eliminated; slot: of every column among the others, S where held.
+        """
+        sums = _Sums(
+            np.zeros((m + 1, f, f)),
+            np.zeros((m + 1, f, size + 1)),
+            np.zeros((size + 1, size + 1)),
+            np.zeros((m + 1, f)),
+            np.zeros(size + 1),
+        )  # the last place takes what is held
+        for block in blocks:
+            inside = [p for p in block.parts if _is_eliminated(p, instance, m)]
+            outside = [p for p in block.parts if not _is_eliminated(p, instance, m)]
+            for part in inside:
+                mine = instance[part.columns[:, 0]]
+                np.add.at(sums.pull_inner, mine, _products(part.jacobian, block.residual[:, :, None])[:, :, 0])
+                for other in inside:
+                    np.add.at(sums.inner, mine, _products(part.jacobian, other.jacobian))
+                for other in outside:
+                    places = (mine[:, None] * f + np.arange(f))[:, :, None] * (size + 1) + slot[other.columns][
+                        :, None, :
+                    ]
+                    np.add.at(sums.cross.reshape(-1), places.ravel(), _products(part.jacobian, other.jacobian).ravel())
+            for part in outside:
+                mine = slot[part.columns]
+                np.add.at(sums.pull_outer, mine.ravel(), _products(part.jacobian, block.residual[:, :, None]).ravel())
+                for other in outside:
+                    _add_pairs(sums.outer, mine, slot[other.columns], _products(part.jacobian, other.jacobian))
+        return _Sums(
+            sums.inner[:m],
+            sums.cross[:m, :, :size],
+            sums.outer[:size, :size],
+            sums.pull_inner[:m],
+            sums.pull_outer[:size],
+        )
+
+
+def _is_eliminated(part: Part, instance: Index, m: int) -> bool:
+    return bool(np.any(instance[part.columns[:, 0]] < m))
+
+
+def _products(left: Array, right: Array) -> Array:
+    """Derivatives (n, d, f) and (n, d, g) multiplied row by row: (n, f, g)."""
+    return left.transpose(0, 2, 1) @ right
+
+
+def _add_pairs(matrix: Array, rows: Index, columns: Index, products: Array) -> None:
+    """Add products (n, f, g) at rows (n, f) and columns (n, g), summing first what goes to the same places."""
+    keys = rows[:, 0] * len(matrix) + columns[:, 0]
+    order = np.argsort(keys, kind="stable")
+    first = np.flatnonzero(np.diff(keys[order], prepend=-1))
+    summed = np.add.reduceat(products.reshape(len(products), -1)[order], first, axis=0)
+    chosen = order[first]
+    if np.any(rows != rows[:, :1] + np.arange(rows.shape[1])) or np.any(
+        columns != columns[:, :1] + np.arange(columns.shape[1])
+    ):  # a part of which some columns are held: its first column does not tell the others
+        np.add.at(matrix, (rows[:, :, None], columns[:, None, :]), products)
+        return
+    np.add.at(matrix, (rows[chosen][:, :, None], columns[chosen][:, None, :]), summed.reshape(-1, *products.shape[1:]))
+
+
+class EliminatedFactor:
+    """Normal equations with the many small independent blocks of one unknown eliminated; attributes as DenseFactor."""
 
     def __init__(
         self,
@@ -136,12 +215,9 @@ class EliminatedFactor:
         conditions: Conditions,
         damping: Array | None = None,
     ):
-        from scipy import sparse
-
         self.size = len(layout.free_columns)
-        derivatives, residual = sparse_rows(blocks, layout)
         inside = np.zeros(self.size, dtype=bool)
-        self._count, self._freedom = 0, 0
+        self._count, self._freedom = 0, 1
         if unknown is not None:
             places = layout.position[layout.span(unknown)].reshape(unknown.count, unknown.freedom)
             places = places[np.all(places >= 0, axis=1)]
@@ -151,43 +227,39 @@ class EliminatedFactor:
         self._slot = np.empty(self.size, dtype=np.int64)
         self._slot[self._inner], self._slot[self._outer] = np.arange(len(self._inner)), np.arange(len(self._outer))
         self._is_inner = inside
-        squares = np.asarray(derivatives.multiply(derivatives).sum(axis=0)).ravel()
-        self._scale = np.sqrt(squares + (0.0 if damping is None else damping))
+        m, f, others = self._count, self._freedom, len(self._outer)
+        free = layout.position >= 0
+        instance, slot = np.full(layout.size, m), np.full(layout.size, others)
+        mine = free.copy()
+        mine[free] = inside
+        instance[mine] = self._slot[layout.position[mine]] // f
+        slot[free & ~mine] = self._slot[layout.position[free & ~mine]]
+        sums = _Sums.of(blocks, instance, slot, m, f, others)
+        squares = np.empty(self.size)
+        squares[self._inner], squares[self._outer] = np.einsum("mff->mf", sums.inner).ravel(), np.diag(sums.outer)
+        springs = np.zeros(self.size) if damping is None else damping
+        self._scale = np.sqrt(squares + springs)
         self._scale = np.where(self._scale > 0, self._scale, 1.0)
-        scaled = sparse.csr_matrix(derivatives @ sparse.diags(1 / self._scale))
-        self._residual, gradient = residual, scaled.T @ residual
-        inner, outer = scaled[:, self._inner].tocsr(), scaled[:, self._outer].tocsr()
-        f, m = self._freedom, self._count
-        springs = np.zeros(self.size) if damping is None else damping / self._scale**2
-        normal = (outer.T @ outer).toarray() + np.diag(springs[self._outer])
-        self._coupled = np.zeros((m, f, len(self._outer)))
-        target = gradient[self._outer].copy()
+        springs = springs / self._scale**2
+        wide, narrow = self._scale[self._outer], self._scale[self._inner].reshape(m, f)
+        normal = sums.outer / np.outer(wide, wide) + np.diag(springs[self._outer])
+        target = sums.pull_outer / wide
         self._defective = np.zeros(0, dtype=np.int64)
-        if m:
-            small = self._diagonal_blocks(inner, m, f) + springs[self._inner].reshape(m, f, 1) * np.eye(f)
-            lengths, axes = np.linalg.eigh(small)
-            weak = lengths <= RANK_TOLERANCE * np.maximum(lengths[:, -1:], 1e-300)
-            self._defective = np.flatnonzero(weak.any(axis=1))
-            inverse_root = np.where(weak, 0.0, 1 / np.sqrt(np.where(weak, 1.0, lengths)))
-            self._half = inverse_root[:, :, None] * axes.transpose(0, 2, 1)  # (m, f, f), Half N Half' = identity
-            self._weak_axes = [axes[i][:, weak[i]] for i in self._defective]
-            cross = (inner.T @ outer).toarray().reshape(m, f, -1)
-            self._coupled = self._half @ cross
-            flat = self._coupled.reshape(m * f, -1)
-            self._inner_target = (self._half @ gradient[self._inner].reshape(m, f, 1))[:, :, 0]
-            normal -= flat.T @ flat
-            target -= flat.T @ self._inner_target.ravel()
+        self._weak_axes: list[Array] = []
+        small = sums.inner / (narrow[:, :, None] * narrow[:, None, :])
+        small += springs[self._inner].reshape(m, f, 1) * np.eye(f)
+        lengths, axes = np.linalg.eigh(small)
+        weak = lengths <= RANK_TOLERANCE * np.maximum(lengths[:, -1:], 1e-300)
+        self._defective = np.flatnonzero(weak.any(axis=1))
+        inverse_root = np.where(weak, 0.0, 1 / np.sqrt(np.where(weak, 1.0, lengths)))
+        self._half = inverse_root[:, :, None] * axes.transpose(0, 2, 1)  # (m, f, f), half N half' = identity
+        self._weak_axes = [axes[i][:, weak[i]] for i in self._defective]
+        self._coupled = (self._half / narrow[:, None, :]) @ sums.cross / wide
+        flat = self._coupled.reshape(m * f, -1)
+        self._inner_target = (self._half @ (sums.pull_inner / narrow)[:, :, None])[:, :, 0]
+        normal -= flat.T @ flat
+        target -= flat.T @ self._inner_target.ravel()
         self._finish(normal, target, conditions)
-
-    @staticmethod
-    def _diagonal_blocks(inner, m: int, f: int) -> Array:  # type: ignore[no-untyped-def]
-        product = (inner.T @ inner).tobsr(blocksize=(f, f))
-        product.sort_indices()
-        blocks = np.zeros((m, f, f))
-        rows = np.repeat(np.arange(m), np.diff(product.indptr))
-        diagonal = rows == product.indices
-        blocks[rows[diagonal]] = product.data[diagonal]
-        return blocks
 
     def _finish(self, normal: Array, target: Array, conditions: Conditions) -> None:
         basis, particular = None, np.zeros(len(self._outer))
@@ -198,11 +270,7 @@ class EliminatedFactor:
         values, axes = np.linalg.eigh(normal) if len(normal) else (np.zeros(0), np.zeros((0, 0)))
         largest = values[-1] if len(values) else 1.0
         strong = values > RANK_TOLERANCE * max(largest, 1e-300)
-        self.rank = (
-            int(strong.sum())
-            + self._count * self._freedom
-            - sum(a.shape[1] for a in (self._weak_axes if self._count else []))
-        )
+        self.rank = int(strong.sum()) + self._count * self._freedom - sum(a.shape[1] for a in self._weak_axes)
         self.condition = (
             float(np.sqrt(largest / values[0]))
             if len(values) and strong.all()
@@ -224,7 +292,7 @@ class EliminatedFactor:
             float(np.linalg.norm(self._inner_target)) if self._count else 0.0,
         )
         self.decrement = float(np.hypot(*parts))
-        self.defect = self._reduced_null.shape[1] + sum(a.shape[1] for a in (self._weak_axes if self._count else []))
+        self.defect = self._reduced_null.shape[1] + sum(a.shape[1] for a in self._weak_axes)
 
     @cached_property
     def _inner_root(self) -> Array:
@@ -303,11 +371,11 @@ class EliminatedFactor:
         a_inner, b_inner = self._is_inner[first[first >= 0][0]], self._is_inner[second[second >= 0][0]]
         a, b = np.where(first >= 0, self._slot[first], 0), np.where(second >= 0, self._slot[second], 0)
         if not a_inner and not b_inner:
-            block = self._outer_covariance[a[:, :, None], b[:, None, :]]
+            block = _gathered(self._outer_covariance, a, b)
         elif a_inner and not b_inner:
-            block = self._cross_covariance[a[:, :, None], b[:, None, :]]
+            block = _gathered(self._cross_covariance, a, b)
         elif b_inner and not a_inner:
-            block = self._cross_covariance[b[:, None, :], a[:, :, None]]
+            block = _gathered(self._cross_covariance, b, a).transpose(0, 2, 1)
         elif first.shape == second.shape and np.array_equal(a, b):
             block = self._inner_covariance[a[:, 0] // self._freedom]
         else:

@@ -207,14 +207,13 @@ def linearise(at: Any, values: Any = None) -> Linearisation:
     at: an Estimate, or a Problem; values: with a Problem, {unknown: value in its declared shape} (start values else).
     Returns the Linearisation that every analysis takes.
     """
-    if isinstance(at, Problem):
-        system = System(at)
-        stored = dict(system.layout.start())
-        for what, value in (values or {}).items():
-            unknown = at.select(what).unknown
-            stored[unknown] = unknown.store(value)
-    else:
-        system, stored = System(at.problem), dict(at.values)
+    if not isinstance(at, Problem):
+        return at.fit
+    system = System(at)
+    stored = dict(system.layout.start())
+    for what, value in (values or {}).items():
+        unknown = at.select(what).unknown
+        stored[unknown] = unknown.store(value)
     return linearise_system(system, stored)
 
 

@@ -94,9 +94,13 @@ def _group(fit: Linearisation, group: Group, through: Array | None) -> dict[str,
         targets = block.residual.shape[1] // dim
         rows = mixing.rows[:, :targets]
         plain = _plain(group, rows)
-        hat = _rowwise(fit, plain, block)  # (J C J' P)_ii
-        leverage = _rowwise(fit, block, block)  # (P J C J' P)_ii
         own = _own_weight(mixing, block.residual.shape[1])
+        if mixing.matrix.ndim == 2:
+            hat = own * _variance(fit, plain)  # (J C J' P)_ii of independent readings
+            leverage = own * hat
+        else:
+            hat = _rowwise(fit, plain, block)  # (J C J' P)_ii
+            leverage = _variance(fit, block)  # (P J C J' P)_ii
         redundancy[rows] = (1.0 - hat).reshape(len(rows), targets, dim)
         weighed[rows] = block.residual.reshape(len(rows), targets, dim)
         scale[rows] = np.sqrt(np.maximum(own - leverage, 0.0)).reshape(len(rows), targets, dim)
@@ -134,6 +138,18 @@ def _plain(group: Group, rows: NDArray[np.int64]) -> Block:
 def _own_weight(mixing: Mixing, size: int) -> Array:
     """Diagonal of P in each block (m, d); blocks list their own rows first."""
     return mixing.matrix if mixing.matrix.ndim == 2 else np.einsum("mdd->md", mixing.matrix[:, :, :size])
+
+
+def _variance(fit: Linearisation, block: Block) -> Array:
+    """Diagonal (m, d) of J C J' of a block: each pair of parts once."""
+    position, total = fit.layout.position, np.zeros(block.residual.shape)
+    parts = [p for p in block.parts if (position[p.columns] >= 0).any()]
+    for i, a in enumerate(parts):
+        for b in parts[i:]:
+            between = fit.factor.between(position[a.columns], position[b.columns])
+            both = np.einsum("mdf,mdf->md", a.jacobian @ between, b.jacobian)
+            total += both if a is b else 2 * both
+    return total
 
 
 def _rowwise(fit: Linearisation, first: Block, second: Block) -> Array:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.blocks import Array
-from calib.elimination import Conditions, DenseFactor, Factor, factorise
+from calib.elimination import DenseFactor, Factor
+from calib.linearisation import Linearisation
 from calib.system import System, Values
-from calib.uncertainty import Weighting
 
 STATIONARITY = 1e-6  # remaining step, in units of u, that passes
 CURVATURE_SIZE = 400  # unknowns up to which the exact Hessian is formed
@@ -40,16 +39,17 @@ class Certificate:
 def certify(
     system: System,
     values: Values,
-    weightings: Sequence[Weighting],
+    fit: Linearisation,
     gap: float | None = None,
     least_squares: bool = True,
 ) -> Certificate:
     """Certify stored values of a system.
 
-    weightings: row operations that were used; gap: duality gap proved by the method; least_squares: whether the
-    objective is v'Pv (else only feasibility and the gap are judged).
+    fit: the linearisation there; gap: duality gap proved by the method; least_squares: whether the objective is v'Pv
+    (else only feasibility and the gap are judged).
     """
-    layout = system.layout
+    layout, factor, conditions = system.layout, fit.factor, fit.conditions
+    weightings = [g.weighting for g in fit.groups]
     equal, unequal, feasibility = system.active_conditions(values)
     if not least_squares:
         passed = feasibility <= 1.0 and gap is not None and gap <= 1e-6
@@ -62,23 +62,22 @@ def certify(
             passed,
             "duality gap closed" if passed else "the duality gap is open or a condition is broken",
         )
-    blocks = system.blocks(values, weightings)
     pull = np.zeros(layout.size)
-    for block in blocks:
+    for block in fit.blocks:
         for part in block.parts:
-            np.add.at(pull, part.columns.ravel(), np.einsum("mdf,md->mf", part.jacobian, block.residual).ravel())
+            force = (part.jacobian * block.residual[:, :, None]).sum(axis=1)
+            pull += np.bincount(part.columns.ravel(), force.ravel(), layout.size)
     pull = pull[layout.free_columns]
-    matrix = np.concatenate([equal, unequal])[:, layout.free_columns]
     low, high = system.at_bounds(values)
     pins = np.union1d(low, high)
-    conditions = Conditions(matrix, np.zeros(len(matrix))).pinned(pins, np.zeros(len(pins)))
-    factor = factorise(blocks, layout, conditions)
     stationarity = float(np.sqrt(factor.covariance(pull[None])[0, 0]))
     multipliers = np.linalg.lstsq(conditions.matrix.T, pull, rcond=None)[0] if len(conditions.target) else np.zeros(0)
     signs = _signs_hold(multipliers, len(equal), len(unequal), np.isin(pins, low), np.isin(pins, high))
     curvature = None
     if len(layout.free_columns) <= CURVATURE_SIZE and not factor.defect:
-        curvature = _curvature(system.second_order(values, weightings, multipliers[: len(matrix)]), factor)
+        curvature = _curvature(
+            system.second_order(values, weightings, multipliers[: len(equal) + len(unequal)]), factor
+        )
     reasons = []
     # No step below the rounding of the values themselves can be taken.
     if not (stationarity <= STATIONARITY or stationarity <= system.rounding(values, weightings)):

@@ -12,7 +12,7 @@ from calib.blocks import Array
 from calib.defect import defect_in_words
 from calib.effect import Effect
 from calib.errors import CalibrationError, DeclarationError, RankDefect
-from calib.linearisation import linearise_system
+from calib.linearisation import Linearisation, linearise_system
 from calib.observations import Quantity
 from calib.problem import Problem
 from calib.solve.certificate import Certificate, certify
@@ -28,22 +28,17 @@ STILL = 1e-9  # relative change of uncertainties that depend on the estimate at 
 class Estimate:
     """The answer to a problem: `estimate[unknown]`, `estimate[quantity]` and `estimate[effect]` are values in SI.
 
-    problem; values: stored values of all unknowns; method, converged, iterations, message: how it was found;
-    certificate: what was verified apart from the method; objective: v'Pv; dof: degrees of freedom;
-    predicted, residuals: {group: (n, dim)} SI, residual = reading - predicted.
+    problem; method, converged, iterations, message: how it was found; certificate: what was verified apart from the
+    method; fit: the linearisation there, on which every analysis stands.
     """
 
     problem: Problem
-    values: Mapping[Unknown, Array]
     method: str
     converged: bool
     iterations: int
     message: str
     certificate: Certificate
-    objective: float
-    dof: int
-    predicted: Mapping[str, Array]
-    residuals: Mapping[str, Array]
+    fit: Linearisation
 
     def __getitem__(self, what: Any) -> Any:
         if isinstance(what, Quantity):
@@ -71,6 +66,31 @@ class Estimate:
             if quantity.name == name:
                 return quantity
         return self.problem.select(name)
+
+    @property
+    def values(self) -> Mapping[Unknown, Array]:
+        """Stored values of all unknowns."""
+        return self.fit.values
+
+    @property
+    def objective(self) -> float:
+        """v'Pv."""
+        return self.fit.objective
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom."""
+        return self.fit.dof
+
+    @property
+    def predicted(self) -> Mapping[str, Array]:
+        """{group: predicted readings (n, dim)}, SI."""
+        return {g.name: g.predicted for g in self.fit.groups}
+
+    @property
+    def residuals(self) -> Mapping[str, Array]:
+        """{group: reading - predicted (n, dim)}, SI."""
+        return {g.name: g.residual for g in self.fit.groups}
 
     @property
     def variance_factor(self) -> float:
@@ -126,20 +146,8 @@ def solve(
             + ".",
             directions=sentences,
         )
-    certificate = certify(system, outcome.values, [g.weighting for g in fit.groups], outcome.gap, method.least_squares)
-    return Estimate(
-        problem,
-        outcome.values,
-        method.name,
-        outcome.converged,
-        iterations,
-        outcome.message,
-        certificate,
-        fit.objective,
-        fit.dof,
-        {g.name: g.predicted for g in fit.groups},
-        {g.name: g.residual for g in fit.groups},
-    )
+    certificate = certify(system, outcome.values, fit, outcome.gap, method.least_squares)
+    return Estimate(problem, method.name, outcome.converged, iterations, outcome.message, certificate, fit)
 
 
 def _sizes(fit) -> Array:  # type: ignore[no-untyped-def]

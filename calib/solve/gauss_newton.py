@@ -55,9 +55,9 @@ class GaussNewton(Method):
             conditions = here.conditions.pinned(pins, np.zeros(len(pins)))
             undamped = factorise(here.blocks, layout, conditions)
             remaining = undamped.decrement
+            still = remaining >= 0.5 * last or (remaining <= 1e-6 and remaining <= 1e-3 * last)
             if here.infeasible <= 1e-3 and (
-                remaining <= self.tolerance
-                or (remaining <= max(1e-6, floor) and remaining >= 0.5 * last and damping == 0.0)
+                remaining <= self.tolerance or (remaining <= max(1e-6, floor) and still and damping == 0.0)
             ):
                 return Outcome(_moved(layout, here.values, undamped.step, room), True, iteration, "converged")
             slow, last = slow + 1 if remaining > 0.3 * last else 0, remaining

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -53,13 +53,13 @@ def coverage(truth: Estimate, seeds: Sequence[int]) -> Coverage:
     held = considered(fit)
     errors, failures = [], 0
     for seed in seeds:
-        seen = truth
+        seen = truth.values
         if held.columns:
             step = np.zeros(fit.layout.size)
             draw = np.random.default_rng([seed, 1]).multivariate_normal(np.zeros(len(held.columns)), held.covariance)
             step[list(held.columns)] = draw
-            seen = replace(truth, values=fit.layout.move(truth.values, step))
-        simulated = simulate(problem, seen, seed)
+            seen = fit.layout.move(truth.values, step)
+        simulated = simulate(problem, {u: u.show(v) for u, v in seen.items()}, seed)
         if held.columns:
             simulated = simulated.with_readings(_as_stated(problem, simulated, fit))
         estimate = solve(simulated, start=truth)
@@ -86,8 +86,8 @@ def _results(problem: Problem, fit: Linearisation) -> list[Any]:
     return chosen
 
 
-def _error(system: System, result: Any, estimate: Estimate, seen: Estimate) -> Array:
+def _error(system: System, result: Any, estimate: Estimate, seen: Mapping[Unknown, Array]) -> Array:
     """Estimate less truth of a quantity, or of an unknown in its local coordinates."""
     if isinstance(result, Unknown):
-        return result.difference(estimate.values[result], seen.values[result]).ravel()
-    return (system.result(result, estimate.values)[0] - system.result(result, seen.values)[0]).ravel()
+        return result.difference(estimate.values[result], seen[result]).ravel()
+    return (system.result(result, estimate.values)[0] - system.result(result, seen)[0]).ravel()
