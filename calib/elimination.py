@@ -191,17 +191,20 @@ def _products(left: Array, right: Array) -> Array:
 
 def _add_pairs(matrix: Array, rows: Index, columns: Index, products: Array) -> None:
     """Add products (n, f, g) at rows (n, f) and columns (n, g), summing first what goes to the same places."""
+    if not (_run_on(rows) and _run_on(columns)):
+        np.add.at(matrix, (rows[:, :, None], columns[:, None, :]), products)
+        return
     keys = rows[:, 0] * len(matrix) + columns[:, 0]
     order = np.argsort(keys, kind="stable")
     first = np.flatnonzero(np.diff(keys[order], prepend=-1))
     summed = np.add.reduceat(products.reshape(len(products), -1)[order], first, axis=0)
     chosen = order[first]
-    if np.any(rows != rows[:, :1] + np.arange(rows.shape[1])) or np.any(
-        columns != columns[:, :1] + np.arange(columns.shape[1])
-    ):  # a part of which some columns are held: its first column does not tell the others
-        np.add.at(matrix, (rows[:, :, None], columns[:, None, :]), products)
-        return
     np.add.at(matrix, (rows[chosen][:, :, None], columns[chosen][:, None, :]), summed.reshape(-1, *products.shape[1:]))
+
+
+def _run_on(places: Index) -> bool:
+    """Whether the first place of every row tells the others, as it does unless some of them are held."""
+    return bool(np.all(places == places[:, :1] + np.arange(places.shape[1])))
 
 
 class EliminatedFactor:
