@@ -110,11 +110,18 @@ class Field:
         once = columns - self.basis @ (self.basis.T @ columns)
         return once - self.basis @ (self.basis.T @ once)
 
+    def _outside_each(self, columns: Sequence[Array]) -> tuple[Array, ...]:
+        """Each of several sets of columns less its part within the basis, all in one multiplication."""
+        if not columns:
+            return ()
+        splits = np.cumsum([c.shape[1] for c in columns])[:-1]
+        return tuple(np.split(self.outside(np.concatenate(columns, axis=1)), splits, axis=1))
+
     def with_signals(self, columns: Sequence[Array]) -> Field:
         """The same with other candidates, given by their whole columns (n, k)."""
         return replace(
             self,
-            signals=tuple(self.outside(c) for c in columns),
+            signals=self._outside_each(columns),
             sizes=tuple(np.linalg.norm(c, axis=0) for c in columns),
         )
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import click
 
 from calib.catalogue import check_companions
+from calib.cli.discover import discover
 from calib.cli.lists import effects, example, problems
 from calib.cli.montecarlo import montecarlo
 from calib.cli.output import FAILED, INPUT, STOPPED
@@ -28,7 +29,7 @@ def calib() -> None:
     """
 
 
-for command in (reproduce, solve, montecarlo, simulate, example, problems, effects):
+for command in (reproduce, solve, discover, montecarlo, simulate, example, problems, effects):
     calib.add_command(command)
 
 

@@ -3,173 +3,101 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import units
-from calib.analyse.score import Candidate, Field, candidates, field_of, orthonormal
-from calib.blocks import Array
-from calib.linearisation import Linearisation, linearise_system
+from calib.analyse.score import Candidate, Field
+from calib.errors import CalibrationError
 from calib.problem import Problem
 from calib.solve.estimate import Estimate, solve
-from calib.system import System
-from calib.workflow.discrepancy.alias import Hidden, aliases, hidden, what_would_tell
-from calib.workflow.discrepancy.heldout import held_out
-from calib.workflow.discrepancy.noise import NoiseTest, best_correlation, lagged, noise_tests, size_test
-from calib.workflow.discrepancy.readings import Channel, channels, row_numbers
-from calib.workflow.discrepancy.search import Finding, Shares, corrected, independent_looks, search, tail
-from calib.workflow.discrepancy.structure import Pattern, patterns
+from calib.workflow.discrepancy.conclusion import Explanation, Judgement, conclude
+from calib.workflow.discrepancy.noise import NoiseTest, noise_tests, size_test
+from calib.workflow.discrepancy.readings import row_numbers
+from calib.workflow.discrepancy.rivals import HEAVY, SCALED, SERIAL, STATED, UNEVEN, Noise, accounts
+from calib.workflow.discrepancy.scene import Scene, scene_of
+from calib.workflow.discrepancy.search import Finding, Shares, corrected, search
+from calib.workflow.discrepancy.structure import Pattern, Place, described, patterns
 
 ROUNDS = 4  # of naming and refitting, so that a curved model is judged where it is
 MOST_NAMED = 3  # effects up to which a sum of them is an answer; more is structure without a name
 CROWD = 0.06  # share of readings beyond which blunders are no blunders but heavy tails
+ADVANTAGE = 6.0  # by which peculiar noise must beat plain noise, and a structure without a name a named effect
 
 
 @dataclass(frozen=True)
-class NamedEffect:
-    """One effect that explains the readings: parameters {name: (value, u, unit)} in display units, corrected p-value
-    of its absence, aliases that these readings cannot tell from it, and a word on its size where that is unusual."""
+class _Account:
+    """One way to see the readings: a finding, patterns beside it, the noise that goes best with both, the score."""
 
-    name: str
-    channel: str
-    parameters: Mapping[str, tuple[float, float, str]]
-    p_value: float
-    aliases: tuple[tuple[str, str], ...]
-    plausibility: str
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where the nominal model disagrees: channel, covariate, shape of the disagreement, corrected p-value."""
-
-    channel: str
-    covariate: str
-    shape: str
-    p_value: float
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """What was found; sentence says it in plain words.
-
-    verdict: consistent, effects, unknown-structure, noise-misstated or outliers; p_value: of nominal model and stated
-    noise; effects; outlier_rows: of the data file; noise_factor: actual over stated standard deviation after the
-    effects; rms, heldout_rms: (before, after), the latter None where no rows are held out; where; structure; noise:
-    looks at the noise that failed; hidden; next_measurement; before, after: the estimates.
-    """
-
-    verdict: str
-    sentence: str
-    p_value: float
-    effects: tuple[NamedEffect, ...]
-    outlier_rows: tuple[int, ...]
-    noise_factor: float
-    rms: tuple[float, float]
-    heldout_rms: tuple[float, float] | None
-    where: tuple[Place, ...]
+    finding: Finding
     structure: tuple[Place, ...]
-    noise: tuple[NoiseTest, ...]
-    hidden: tuple[Hidden, ...]
-    next_measurement: str
-    before: Estimate
-    after: Estimate
-
-
-@dataclass(frozen=True)
-class _Scene:
-    """The linear picture in which everything is judged: the nominal unknowns free, every effect a candidate."""
-
-    fit: Linearisation
-    chosen: tuple[Candidate, ...]
-    columns: tuple[Array, ...]
-    derivatives: Array
-    residual: Array
-    channels: tuple[Channel, ...]
-    field: Field
-
-    @property
-    def readings(self) -> NDArray[np.int64]:
-        """Places of the scalar readings that may be blunders."""
-        return np.flatnonzero(row_numbers(self.fit) > 0)
-
-    def seen_through(self, rows: Array) -> Field:
-        """The field with every row divided by a scale (n,)."""
-        return _field(self.derivatives / rows[:, None], self.residual / rows, [c / rows[:, None] for c in self.columns])
-
-    def serial(self, correlation: float) -> Field:
-        """The field with rows whitened for serial correlation."""
-        return _field(
-            lagged(self.derivatives, self.channels, correlation),
-            lagged(self.residual[:, None], self.channels, correlation)[:, 0],
-            [lagged(c, self.channels, correlation) for c in self.columns],
-        )
-
-
-def _field(derivatives: Array, residual: Array, columns: Sequence[Array]) -> Field:
-    basis = orthonormal(derivatives, np.linalg.norm(derivatives, axis=0))
-    left = residual - basis @ (basis.T @ residual)
-    return Field(left, np.maximum(1 - np.sum(basis**2, axis=1), 0), basis, (), ()).with_signals(columns)
-
-
-def _scene(problem: Problem, at: Estimate, named: Sequence[Candidate]) -> _Scene:
-    """Linearise with the named effects held at their estimates and put back what they explain."""
-    held = problem.hold(*[c.selection for c in named]) if named else problem
-    fit = linearise_system(System(held), at.values)
-    chosen = tuple(candidates(fit))
-    columns = [fit.held_columns(c.columns) for c in chosen]
-    derivatives, residual = fit.rows
-    residual = residual.copy()
-    labels = {c.label for c in named}
-    for one, column in zip(chosen, columns, strict=True):
-        if one.label in labels:
-            residual += column @ at.values[one.unknown][one.instance]
-    dense = derivatives.toarray()
-    field = field_of(fit, ()) if not named else None
-    whole = (
-        _field(dense, residual, columns)
-        if field is None
-        else Field(field.residual, field.redundancy, field.basis, (), ()).with_signals(columns)
-    )
-    return _Scene(fit, chosen, tuple(columns), dense, residual, tuple(channels(fit)), whole)
+    noise: Noise
+    score: float
 
 
 def explain(
-    problem: Problem, level: float = 0.01, check: Mapping[str, NDArray[np.bool_]] | None = None, seed: int = 20
+    problem: Problem,
+    level: float = 0.01,
+    check: Mapping[str, NDArray[np.bool_]] | None = None,
+    seed: int = 20,
+    remarks: Sequence[str] = (),
 ) -> Explanation:
     """Find out why model and readings disagree, or that they do not.
 
     problem: with its effects attached as held candidates; level: probability of a false alarm; check: {group: (n,)
-    true where a row is held out} to judge the gap on; seed: of the simulated looks.
-    Returns the Explanation. Raises what `solve` raises where the nominal model cannot be estimated.
+    true where a row is held out} to judge the gap on; seed: of the simulated looks; remarks: to pass on.
+    Returns the Explanation. Raises what `solve` raises where the nominal model cannot be estimated, and
+    CalibrationError where it does not converge.
     """
     shares = Shares()
     before = solve(problem)
-    scene = _scene(problem, before, ())
-    nominal = scene
+    if not before.converged:
+        raise CalibrationError(
+            f"{problem.name}: the nominal model does not converge ({before.message}), so nothing can be said about "
+            "what it lacks. Give start values nearer to the truth, or look for gross errors in rows and units."
+        )
+    nominal = scene_of(problem, before, ())
+    scene, finding, named, outliers, estimate = _settled(problem, before, nominal, level, seed, shares)
+    shapes = patterns(scene.channels)
+    best = _best_account(scene, finding, shapes, level, seed, shares)
+    chosen, rows = _names(scene, best.finding)
+    if [c.label for c in chosen] != [c.label for c in named] or rows != outliers:
+        named, outliers = chosen, rows
+        estimate = _refit(problem, named, outliers, before)
+        scene = scene_of(problem, estimate, named)
+    noise = _noise(scene, best, level * shares.noise, seed)
+    if best.noise.kind not in (STATED, SCALED) and best.finding is not finding and not noise:
+        # Something was significant, and this noise accounts for it better than any effect.
+        noise = (NoiseTest(best.noise.kind, best.noise.where, best.noise.correlation, level),)
+    verdict = _verdict(best, named, outliers, noise, scene)
+    judged = Judgement(verdict, best.finding, named, outliers, best.structure, noise, best.noise)
+    return conclude(problem, before, estimate, nominal, scene, judged, check, tuple(remarks), seed)
+
+
+def _settled(
+    problem: Problem, before: Estimate, scene: Scene, level: float, seed: int, shares: Shares
+) -> tuple[Scene, Finding, tuple[Candidate, ...], tuple[int, ...], Estimate]:
+    """Name effects and blunders, refit, and look again until the same are named where the model then is."""
     named: tuple[Candidate, ...] = ()
     outliers: tuple[int, ...] = ()
     estimate, finding = before, search(scene.field, scene.readings, level, seed, shares)
     for _ in range(ROUNDS):
-        chosen = tuple(scene.chosen[e] for e in finding.effects)
-        rows = tuple(sorted({int(row_numbers(scene.fit)[b]) for b in finding.blunders}))
+        chosen, rows = _names(scene, finding)
         if [c.label for c in chosen] == [c.label for c in named] and rows == outliers:
             break
-        named, outliers = chosen, rows
-        estimate = _refit(problem, named, outliers, before)
-        scene = _scene(problem, estimate, named)
+        refit = _refit(problem, chosen, rows, before)
+        if not refit.converged:  # the linear picture promised more than the model keeps: stay where it holds
+            break
+        named, outliers, estimate = chosen, rows, refit
+        scene = scene_of(problem, estimate, named)
         finding = search(scene.field, scene.readings, level, seed, shares)
-    finding, reweighted = _despite_uneven_noise(scene, finding, level, seed, shares)
-    finding, serial = _despite_serial_noise(scene, finding, level, seed, shares)
-    chosen = tuple(scene.chosen[e] for e in finding.effects)
-    rows = tuple(sorted({int(row_numbers(scene.fit)[b]) for b in finding.blunders}))
-    if [c.label for c in chosen] != [c.label for c in named] or rows != outliers:
-        named, outliers = chosen, rows
-        estimate = _refit(problem, named, outliers, before)
-    structure = () if serial or reweighted else _structure(scene, finding, level * shares.structure, seed)
-    noise = _noise(scene, finding, level * shares.noise, seed, serial)
-    return _conclude(problem, before, estimate, nominal, scene, finding, named, outliers, structure, noise, check)
+    return scene, finding, named, outliers, estimate
+
+
+def _names(scene: Scene, finding: Finding) -> tuple[tuple[Candidate, ...], tuple[int, ...]]:
+    rows = {int(row_numbers(scene.fit)[b]) for b in finding.blunders} if finding.blunders else ()
+    return tuple(scene.chosen[e] for e in finding.effects), tuple(sorted(rows))
 
 
 def _refit(problem: Problem, named: Sequence[Candidate], outliers: Sequence[int], start: Estimate) -> Estimate:
@@ -180,247 +108,106 @@ def _refit(problem: Problem, named: Sequence[Candidate], outliers: Sequence[int]
     return solve(freed, start=start)
 
 
-def _despite_uneven_noise(
-    scene: _Scene, finding: Finding, level: float, seed: int, shares: Shares
-) -> tuple[Finding, bool]:
-    """Search again with the noise scaled where its size is uneven; what is named must survive that."""
-    if not finding.effects:
-        return finding, False
-    tests = [t for t in noise_tests(finding.left, scene.channels, finding.scale, seed) if t.what == "uneven size"]
-    if not tests or min(t.p_value for t in tests) * len(tests) > 1e-3:
-        return finding, False
-    rows = _local_scale(finding.left, scene.channels)
-    again = search(scene.seen_through(rows), scene.readings, level, seed, shares)
-    lost = set(finding.effects) - set(again.effects)
-    return (again, True) if lost else (finding, False)
+def _best_account(
+    scene: Scene, finding: Finding, shapes: Sequence[Pattern], level: float, seed: int, shares: Shares
+) -> _Account:
+    """The account of the readings with the best score, among effects, blunders, structure and kinds of noise."""
+    nothing = _nothing(scene, finding)
+    plain = accounts(nothing.left, scene.channels)
+    mine = accounts(finding.left, scene.channels)
+    cost = _price(scene, finding)
+    pool = [_Account(nothing, (), one, one.score) for one in plain]
+    if finding.effects or finding.blunders:
+        pool += [_Account(finding, (), one, one.score + cost) for one in mine if one.kind in (STATED, SCALED)]
+    for source in (plain, mine):
+        for noise in source:
+            if noise.kind in (STATED, SCALED) or noise.score > _white(source) - ADVANTAGE:
+                continue
+            again = _search_again(scene, noise, level, seed, shares)
+            if again.effects:
+                score = _score_through(scene, again, noise) + _price(scene, again) + ADVANTAGE
+                pool.append(_Account(again, (), noise, score))
+            break  # the best account of peculiar noise is enough to judge by
+    for base in (finding, nothing) if finding.effects else (nothing,):
+        whole = _with_structure(scene, base, shapes, level * shares.structure, seed)
+        if whole is not None:
+            pool.append(whole)
+    if len(pool) == len(plain):  # nothing is significant: what the noise is, is for its own tests
+        return next(a for a in pool if a.noise.kind == STATED)
+    best = min(pool, key=lambda a: a.score)
+    with_same = [a for a in pool if a.structure and a.finding is best.finding]
+    if best.finding.effects and with_same and best.noise.kind in (STATED, SCALED):
+        # Structure that stays beside effects is judged on its own evidence: an effect is no answer while it stays.
+        return with_same[0]
+    return best
 
 
-def _local_scale(field: Field, channels: Sequence[Channel]) -> Array:
-    """Standard deviation of what is left around each row, block by block of every channel."""
-    scale = np.ones(len(field.residual))
-    for channel in channels:
-        keys = channel.covariates.get("block", channel.covariates.get("sweep"))
-        ordered = channel.places[channel.order]
-        groups = (
-            [channel.places[keys == k] for k in np.unique(keys)]
-            if keys is not None and len(np.unique(keys)) > 1
-            else np.array_split(ordered, max(1, len(ordered) // 12))
-        )
-        for places in groups:
-            seen = max(float(np.sum(field.redundancy[places])), 1.0)
-            scale[places] = np.sqrt(max(float(np.sum(field.residual[places] ** 2)) / seen, 0.05))
-    return scale
+def _white(source: Sequence[Noise]) -> float:
+    return min(one.score for one in source if one.kind in (STATED, SCALED))
 
 
-def _despite_serial_noise(
-    scene: _Scene, finding: Finding, level: float, seed: int, shares: Shares
-) -> tuple[Finding, float]:
-    """Judge again with first-order serial correlation: noise that remembers must not become a discovery.
+def _nothing(scene: Scene, finding: Finding) -> Finding:
+    from calib.workflow.discrepancy.search import noise_scale
 
-    Returns the finding to keep and the correlation where that noise explains the readings better (0 where it does not).
-    """
-    n = len(scene.residual)
-    correlation, likelihood = best_correlation(scene.derivatives, scene.residual, scene.channels)
-    white = n * np.log(max(finding.left.squares, 1e-12) / n) + (
-        finding.left.basis.shape[1] - scene.field.basis.shape[1]
-    ) * np.log(n)
-    if abs(correlation) < 0.05 or likelihood + np.log(n) >= white:
-        return finding, 0.0
-    again = search(scene.serial(correlation), scene.readings, level, seed, shares)
-    if again.effects and again.left.squares > 0:
-        both = (
-            n * np.log(again.left.squares / n)
-            + sum(len(c.places) - 1 for c in scene.channels) * np.log(1 - correlation**2)
-            + (again.left.basis.shape[1] - scene.field.basis.shape[1] + 1) * np.log(n)
-        )
-        if both < likelihood + np.log(n) - 10:
-            return again, correlation
-    plain = search(scene.field.with_signals([]), scene.readings, level, seed, shares)
-    return Finding((), (), (), (), plain.scale, plain.left), correlation
+    return Finding((), (), (), (), noise_scale(scene.field), replace(scene.field, signals=(), sizes=()))
 
 
-def _structure(scene: _Scene, finding: Finding, level: float, seed: int) -> tuple[Place, ...]:
-    """Patterns that are left over, largest first."""
-    shapes = patterns(scene.channels, len(scene.residual))
-    return tuple(p for p in _places(finding.left, shapes, seed) if p.p_value <= level)
+def _price(scene: Scene, finding: Finding) -> float:
+    """What the parameters and choices of a finding cost."""
+    taken = finding.left.basis.shape[1] - scene.field.basis.shape[1]
+    log_dof = np.log(max(finding.left.dof, 2))
+    candidates = max(len(scene.chosen), 1)
+    return float(taken * log_dof + 2 * len(finding.effects) * np.log(candidates)
+                 + len(finding.blunders) * (2 * np.log(len(scene.readings)) - log_dof))
 
 
-def _places(field: Field, shapes: Sequence[Pattern], seed: int) -> list[Place]:
-    looking = field.with_signals([s.columns for s in shapes])
-    looks = independent_looks(looking, seed)
-    drops, dofs = looking.statistics
-    found = []
-    for shape, drop, dof in zip(shapes, drops, dofs, strict=True):
-        left = field.dof - int(dof)
-        scale = max(1.0, (field.squares - drop) / left) if left > 0 else 1.0
-        found.append(
-            Place(shape.channel, shape.covariate, shape.kind, corrected(tail(drop, int(dof), scale, left), looks))
-        )
-    return sorted(found, key=lambda p: p.p_value)
+def _search_again(scene: Scene, noise: Noise, level: float, seed: int, shares: Shares) -> Finding:
+    """The search in rows that the account of the noise makes alike and independent."""
+    field = scene.serial(noise.correlation) if noise.kind == SERIAL else scene.seen_through(noise.rows)
+    return search(field, scene.readings, level, seed, shares, 0)
 
 
-def _noise(scene: _Scene, finding: Finding, level: float, seed: int, serial: float) -> tuple[NoiseTest, ...]:
-    tests = [size_test(finding.left), *noise_tests(finding.left, scene.channels, finding.scale, seed)]
+def _score_through(scene: Scene, finding: Finding, noise: Noise) -> float:
+    """Score of the noise that is left when the effects of a finding are taken from the readings as they are."""
+    columns = np.concatenate([scene.field.signals[e] for e in finding.effects], axis=1)
+    sizes = np.concatenate([scene.field.sizes[e] for e in finding.effects])
+    from calib.analyse.score import orthonormal
+
+    left = replace(scene.field, signals=(), sizes=()).taking(orthonormal(columns, sizes))
+    return next(one.score for one in accounts(left, scene.channels) if one.kind == noise.kind)
+
+
+def _with_structure(
+    scene: Scene, base: Finding, shapes: Sequence[Pattern], level: float, seed: int
+) -> _Account | None:
+    bare: Field = replace(base.left, signals=(), sizes=())
+    found, left, looks = described(bare, shapes, level, seed)
+    if not found:
+        return None
+    noise = min((a for a in accounts(left, scene.channels) if a.kind in (STATED, SCALED)), key=lambda a: a.score)
+    taken = left.basis.shape[1] - bare.basis.shape[1]
+    price = taken * np.log(max(left.dof, 2)) + 2 * len(found) * np.log(max(looks, 2))
+    return _Account(base, tuple(found), noise, noise.score + price + _price(scene, base) + ADVANTAGE)
+
+
+def _noise(scene: Scene, best: _Account, level: float, seed: int) -> tuple[NoiseTest, ...]:
+    """Looks at the noise that failed at a level."""
+    left, scale = best.finding.left, best.finding.scale
+    if best.noise.kind in (UNEVEN, HEAVY, SERIAL):
+        left = replace(scene.field, signals=(), sizes=()) if not best.finding.effects else left
+    tests = [size_test(left), *noise_tests(left, scene.channels, scale, seed)]
     failed = [t for t in tests if corrected(t.p_value, 2 if t.what == "size" else 2 * (len(tests) - 1)) <= level]
-    if serial:
-        failed.append(NoiseTest("serial correlation", "all channels", serial, 0.0))
     return tuple(sorted(failed, key=lambda t: t.p_value))
 
 
-def _conclude(
-    problem: Problem,
-    before: Estimate,
-    estimate: Estimate,
-    nominal: _Scene,
-    scene: _Scene,
-    finding: Finding,
-    named: tuple[Candidate, ...],
-    outliers: tuple[int, ...],
-    structure: tuple[Place, ...],
-    noise: tuple[NoiseTest, ...],
-    check: Mapping[str, NDArray[np.bool_]] | None,
-) -> Explanation:
-    crowd = len(outliers) > max(2, CROWD * len(np.unique(row_numbers(scene.fit))))
-    if structure or len(named) > MOST_NAMED:
-        verdict = "unknown-structure"
-    elif named:
-        verdict = "effects"
-    elif crowd or noise:
-        verdict = "noise-misstated"
-    elif outliers:
-        verdict = "outliers"
-    else:
-        verdict = "consistent"
-    after = estimate if verdict in ("effects", "outliers") else before
-    effects: tuple[NamedEffect, ...] = ()
-    advice = ""
-    if verdict == "effects":
-        effects, advice = _named(scene, finding, named, after)
-    rows = outliers if verdict in ("effects", "outliers") else ()
-    size = size_test(nominal.field).p_value
-    where = tuple(
-        p for p in _places(nominal.field, patterns(nominal.channels, len(nominal.residual)), 1)[:8] if p.p_value < 0.01
-    )
-    p_value = min([size, *(p.p_value for p in where), *(e.p_value for e in effects)])
-    spread = float(np.sqrt(after.objective / after.dof)) if after.dof > 0 else 1.0
-    rms = (float(np.sqrt(before.objective / before.dof)) if before.dof > 0 else 0.0, spread)
-    held = None
-    if check is not None:
-        first = held_out(problem, check, before)
-        named_problem = problem.free(*[c.selection for c in named]) if verdict == "effects" else problem
-        if rows:
-            named_problem = named_problem.keep(
-                {
-                    o.group: ~np.isin(o.rows, rows) | check.get(o.group, np.zeros(o.n, bool))
-                    for o in problem.observations
-                    if not o.is_prior
-                }
-            )
-            masks = {
-                o.group: check[o.group][np.isin(p.rows, o.rows)]
-                for o, p in zip(named_problem.observations, problem.observations, strict=True)
-                if o.group in check
-            }
-        else:
-            masks = dict(check)
-        second = held_out(named_problem, masks, after) if verdict in ("effects", "outliers") else first
-        held = (first.rms, second.rms) if first and second else None
-    unseen = tuple(hidden(nominal.fit, nominal.field, nominal.chosen))
-    return Explanation(
-        verdict,
-        _sentence(verdict, effects, rows, structure, noise, rms),
-        p_value,
-        effects,
-        rows,
-        spread,
-        rms,
-        held,
-        where,
-        structure,
-        noise,
-        unseen,
-        advice,
-        before,
-        after,
-    )
-
-
-def _named(
-    scene: _Scene, finding: Finding, named: Sequence[Candidate], after: Estimate
-) -> tuple[tuple[NamedEffect, ...], str]:
-    from calib.analyse.covariance import covariance
-    from calib.linearisation import linearise
-
-    fit = linearise(after)
-    values = {
-        place: after.values[scene.chosen[place].unknown][scene.chosen[place].instance] for place in finding.effects
-    }
-    standing_in = aliases(scene.field, finding.effects, values, scene.columns)
-    effects, advice = [], []
-    widened = np.sqrt(finding.scale)
-    for place, p in zip(finding.effects, finding.p_effects, strict=True):
-        one = scene.chosen[place]
-        u = covariance(fit, one.selection).u * widened
-        parameters = {
-            q.name: (float(v / units.factor(q.unit)), float(s / units.factor(q.unit)), q.unit)
-            for q, v, s in zip(one.effect.parameters, values[place], u, strict=True)
-        }
-        others = [scene.chosen[o] for o in standing_in[place]]
-        effects.append(
-            NamedEffect(
-                one.effect.name,
-                one.channel,
-                parameters,
-                p,
-                tuple((o.effect.name, o.channel) for o in others),
-                _plausibility(one, values[place]),
-            )
-        )
-        if others:
-            advice.append(what_would_tell(one, others))
-    return tuple(effects), "; ".join(advice)
-
-
-def _plausibility(one: Candidate, values: Array) -> str:
-    words = []
-    for parameter, value in zip(one.effect.parameters, values, strict=True):
-        high = parameter.plausible[1]
-        if abs(value) > 3 * high:
-            factor = units.factor(parameter.unit)
-            words.append(
-                f"{parameter.name} = {value / factor:.3g} {parameter.unit} is implausible: up to {high / factor:.3g} "
-                f"{parameter.unit} is usual"
-            )
-    return "; ".join(words)
-
-
-def _sentence(
-    verdict: str,
-    effects: Sequence[NamedEffect],
-    rows: Sequence[int],
-    structure: Sequence[Place],
-    noise: Sequence[NoiseTest],
-    rms: tuple[float, float],
+def _verdict(
+    best: _Account, named: Sequence[Candidate], outliers: Sequence[int], noise: Sequence[NoiseTest], scene: Scene
 ) -> str:
-    if verdict == "consistent":
-        return "Model and stated noise explain the readings."
-    if verdict == "outliers":
-        listed = ", ".join(map(str, rows))
-        return f"The model holds and the noise is as stated, but {len(rows)} row(s) are blunders: {listed}."
-    if verdict == "noise-misstated":
-        kinds = ", ".join(f"{t.what} in {t.where}" for t in noise[:3]) or "more large residuals than normal noise has"
-        return f"Nothing systematic is missing, but the noise is not what was stated: {kinds}."
-    if verdict == "unknown-structure":
-        if structure:
-            p = structure[0]
-            return (
-                "There is systematic structure that no known effect explains, most clearly "
-                f"{p.shape} over {p.covariate} in {p.channel}."
-            )
-        return "There is systematic structure that no sum of up to three known effects explains."
-    names = " and ".join(f"{e.name} ({e.channel})" for e in effects)
-    also = f" {len(rows)} row(s) are blunders." if rows else ""
-    return (
-        f"Missing in the model: {names}; with it the root mean square residual falls from {rms[0]:.3g} to "
-        f"{rms[1]:.3g} u.{also}"
-    )
+    crowd = len(outliers) > max(2, CROWD * len(np.unique(row_numbers(scene.fit))))
+    if best.structure or len(named) > MOST_NAMED:
+        return "unknown-structure"
+    if named:
+        return "effects"
+    if crowd or noise:
+        return "noise-misstated"
+    return "outliers" if outliers else "consistent"

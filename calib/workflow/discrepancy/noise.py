@@ -63,6 +63,9 @@ def noise_tests(field: Field, channels: Sequence[Channel], scale: float, seed: i
                     drawn[channel.places],
                 )
             )
+    runs = [c.places[c.order] for c in channels if len(c.places) >= 4]
+    if len(runs) > 1:
+        tests.append(_judge("serial correlation", "all channels", _pooled(runs), standard, drawn))
     if len(channels) > 1:
         whole = np.concatenate([c.places for c in channels])
         of = np.concatenate([np.full(len(c.places), float(i)) for i, c in enumerate(channels)])
@@ -90,13 +93,24 @@ def _lag_one(v: Array) -> Array:
     return np.sum(v[1:] * v[:-1], axis=0) / np.sum(v**2, axis=0)
 
 
+def _pooled(runs: Sequence[NDArray[np.int64]]) -> Callable[[Array], Array]:
+    def figure(v: Array) -> Array:
+        return sum(np.sum(v[run[1:]] * v[run[:-1]], axis=0) for run in runs) / np.sum(v**2, axis=0)
+
+    return figure
+
+
 def _slope(column: Array) -> Callable[[Array], Array]:
-    """Share of the squared residuals along a centred column, normalised by their mean."""
+    """How the size of the residuals runs along a centred column, over their mean size.
+
+    The cube root of a square is nearly normal, so that a few rows and many are judged alike and one blunder is no
+    uneven size (Wilson and Hilferty 1931).
+    """
     centred = (column - column.mean()) / max(float(np.std(column)), 1e-12)
 
     def figure(v: Array) -> Array:
-        squares = np.minimum(v**2, 9.0)  # a single blunder is no uneven size
-        return centred @ squares / (np.mean(squares, axis=0) * np.sqrt(len(centred)))
+        sizes = np.cbrt(v**2)
+        return centred @ sizes / (np.mean(sizes, axis=0) * np.sqrt(len(centred)))
 
     return figure
 
@@ -126,36 +140,3 @@ def lagged(array: Array, channels: Sequence[Channel], correlation: float) -> Arr
         order = channel.places[channel.order]
         whitened[order[1:]] = (array[order[1:]] - correlation * array[order[:-1]]) / np.sqrt(1 - correlation**2)
     return whitened
-
-
-def serial_likelihood(derivatives: Array, residual: Array, channels: Sequence[Channel], correlation: float) -> float:
-    """Twice the negative logarithm of the profile likelihood of a serial correlation, the noise level free."""
-    rows, right = lagged(derivatives, channels, correlation), lagged(residual[:, None], channels, correlation)[:, 0]
-    basis = np.linalg.qr(rows)[0]
-    left = right - basis @ (basis.T @ right)
-    steps = sum(len(c.places) - 1 for c in channels)
-    return len(residual) * float(np.log(left @ left / len(residual))) + steps * float(np.log(1 - correlation**2))
-
-
-def best_correlation(derivatives: Array, residual: Array, channels: Sequence[Channel]) -> tuple[float, float]:
-    """Serial correlation of largest likelihood, and twice its negative logarithm."""
-    grid = np.linspace(-0.6, 0.96, 14)
-    values = [serial_likelihood(derivatives, residual, channels, c) for c in grid]
-    best = int(np.argmin(values))
-    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    for _ in range(12):  # golden section
-        first, second = high - 0.618 * (high - low), low + 0.618 * (high - low)
-        if serial_likelihood(derivatives, residual, channels, first) < serial_likelihood(
-            derivatives, residual, channels, second
-        ):
-            high = second
-        else:
-            low = first
-    middle = 0.5 * (low + high)
-    return middle, serial_likelihood(derivatives, residual, channels, middle)
-
-
-def standardised(field: Field, places: NDArray[np.int64]) -> Array:
-    """Residuals over their own standard deviation; 0 where nothing of an error would show."""
-    seen = field.redundancy[places] > 1e-6
-    return np.where(seen, field.residual[places] / np.sqrt(np.where(seen, field.redundancy[places], 1.0)), 0.0)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.blocks import Array
 from calib.linearisation import Group, Linearisation
+from calib.observations import Observations
+from calib.problem import Problem
+
+ANGLES = ("angle", "command", "azimuth", "elevation")  # arguments of models that are angles, so that harmonics apply
 
 
 @dataclass(frozen=True)
@@ -26,24 +32,52 @@ class Channel:
     order: NDArray[np.int64]
 
 
-def channels(fit: Linearisation) -> list[Channel]:
-    """One channel for each component of each group of observations that is no prior."""
+def channels(fit: Linearisation, problem: Problem | None = None) -> list[Channel]:
+    """One channel for each component of each group of observations that is no prior.
+
+    fit: a linearisation; problem: that it is of; what its models know of each row (an angle, a position) is then taken
+    beside what was recorded.
+    """
+    known = {} if problem is None else {o.group: _known(o) for o in problem.observations}
     found, begin = [], 0
     for group in fit.groups:
+        more = known.get(group.name, {})
         for block in group.whitened:
             m, d = block.residual.shape
             if not group.is_prior and block.rows.shape[1] == 1:
-                found += [_channel(group, block.rows[:, 0], begin + np.arange(m) * d + k, k) for k in range(d)]
+                found += [
+                    _channel(group, block.rows[:, 0], begin + np.arange(m) * d + k, k, more) for k in range(d)
+                ]
             begin += m * d
     return found
 
 
-def _channel(group: Group, inside: NDArray[np.int64], places: NDArray[np.int64], component: int) -> Channel:
-    covariates = {name: np.asarray(values)[inside] for name, values in group.covariates.items()}
+def _known(observations: Observations) -> dict[str, Array]:
+    """Known arguments of a model that vary from row to row, one column each."""
+    found = {}
+    for argument in observations.arguments:
+        if argument.unknown is not None or argument.data.ndim != 2 or argument.data.shape[1] > 3:
+            continue
+        for k, column in enumerate(np.asarray(argument.data, float).T):
+            name = argument.name if argument.data.shape[1] == 1 else f"{argument.name} {'xyz'[k]}"
+            if len(column) == observations.n and np.ptp(column) > 1e-9 * max(float(np.max(np.abs(column))), 1e-12):
+                found[name] = column
+    return found
+
+
+def _channel(
+    group: Group, inside: NDArray[np.int64], places: NDArray[np.int64], component: int, known: Mapping[str, Array]
+) -> Channel:
+    covariates = {name: np.asarray(values)[inside] for name, values in group.covariates.items() if name != "split"}
+    units = dict(group.covariate_units)
+    for word, values in known.items():
+        if not any(v.dtype.kind in "fiu" and np.array_equal(v, values[inside]) for v in covariates.values()):
+            covariates[word] = values[inside]
+            units[word] = "rad" if word in ANGLES else "1"
     name = " ".join(part for part in (group.name, group.components[component]) if part)
     time = covariates.get("time")
     order = np.arange(len(inside)) if time is None or time.dtype.kind not in "fiu" else np.argsort(time, kind="stable")
-    return Channel(name, places, group.rows[inside], covariates, dict(group.covariate_units), order)
+    return Channel(name, places, group.rows[inside], covariates, units, order)
 
 
 def row_numbers(fit: Linearisation) -> NDArray:

@@ -1,0 +1,213 @@
+"""What is reported of a discrepancy: verdict, effects with uncertainty and aliases, the gap before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib import units
+from calib.analyse.score import Candidate
+from calib.blocks import Array
+from calib.problem import Problem
+from calib.solve.estimate import Estimate
+from calib.workflow.discrepancy.alias import Hidden, aliases, hidden, what_would_tell
+from calib.workflow.discrepancy.heldout import held_out
+from calib.workflow.discrepancy.noise import NoiseTest, size_test
+from calib.workflow.discrepancy.rivals import Noise
+from calib.workflow.discrepancy.scene import Scene
+from calib.workflow.discrepancy.search import Finding
+from calib.workflow.discrepancy.structure import Place, Screen, patterns
+from calib.workflow.discrepancy.words import plausibility, remarks_on, sentence
+
+MANY = 8  # places named under `where`
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """One effect that explains the readings: parameters {name: (value, u, unit)} in display units, corrected p-value
+    of its absence, aliases that these readings cannot tell from it, and a word on its size where that is unusual."""
+
+    name: str
+    channel: str
+    parameters: Mapping[str, tuple[float, float, str]]
+    p_value: float
+    aliases: tuple[tuple[str, str], ...]
+    plausibility: str
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A candidate with the drop of v'Pv it alone would give, its degrees of freedom and how much of it can be seen."""
+
+    label: str
+    drop: float
+    dof: int
+    seen: float
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What was found; sentence says it in plain words.
+
+    verdict: consistent, effects, unknown-structure, noise-misstated or outliers; p_value: of nominal model and stated
+    noise; effects; outlier_rows: of the data file; noise_factor: actual over stated standard deviation after the
+    effects; rms, heldout_rms: (before, after), the latter None where no rows are held out; where; structure; noise:
+    looks at the noise that failed; hidden; next_measurement; ranking: of all candidates; remarks; before, after: the
+    estimates.
+    """
+
+    verdict: str
+    sentence: str
+    p_value: float
+    effects: tuple[NamedEffect, ...]
+    outlier_rows: tuple[int, ...]
+    noise_factor: float
+    rms: tuple[float, float]
+    heldout_rms: tuple[float, float] | None
+    where: tuple[Place, ...]
+    structure: tuple[Place, ...]
+    noise: tuple[NoiseTest, ...]
+    hidden: tuple[Hidden, ...]
+    next_measurement: str
+    ranking: tuple[Ranked, ...]
+    remarks: tuple[str, ...]
+    before: Estimate
+    after: Estimate
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What the judging of one problem ended in."""
+
+    verdict: str
+    finding: Finding
+    named: tuple[Candidate, ...]
+    outliers: tuple[int, ...]
+    structure: tuple[Place, ...]
+    noise: tuple[NoiseTest, ...]
+    account: Noise
+
+
+def conclude(
+    problem: Problem,
+    before: Estimate,
+    estimate: Estimate,
+    nominal: Scene,
+    scene: Scene,
+    judged: Judgement,
+    check: Mapping[str, NDArray[np.bool_]] | None,
+    remarks: tuple[str, ...],
+    seed: int,
+) -> Explanation:
+    """Put a judgement into an Explanation.
+
+    problem; before, estimate: solved without and with what was named; nominal, scene: linearised there; check: held-out
+    rows; remarks: to pass on; seed: of simulated looks.
+    """
+    verdict = judged.verdict
+    after = estimate if verdict in ("effects", "outliers") else before
+    effects: tuple[NamedEffect, ...] = ()
+    advice = ""
+    if verdict == "effects":
+        effects, advice = _named(scene, judged.finding, judged.named, after)
+    rows = judged.outliers if verdict in ("effects", "outliers") else ()
+    looks = Screen(nominal.field, patterns(nominal.channels), seed).places()
+    where = tuple(p for p in looks[:MANY] if p.p_value < 0.01)
+    p_value = min([size_test(nominal.field).p_value, *(p.p_value for p in where), *(e.p_value for e in effects)])
+    rms = (_spread(before), _spread(after))
+    held = None
+    if check:
+        held = _held(problem, check, before, after, judged.named if verdict == "effects" else (), rows)
+    return Explanation(
+        verdict,
+        sentence(verdict, effects, rows, judged.structure, judged.noise, rms),
+        p_value,
+        effects,
+        rows,
+        rms[1],
+        rms,
+        held,
+        where,
+        judged.structure,
+        judged.noise,
+        tuple(hidden(nominal.fit, nominal.field, nominal.chosen)),
+        advice,
+        _ranking(nominal),
+        (*remarks, *remarks_on(nominal)),
+        before,
+        after,
+    )
+
+
+def _spread(estimate: Estimate) -> float:
+    return float(np.sqrt(estimate.objective / estimate.dof)) if estimate.dof > 0 else 0.0
+
+
+def _ranking(nominal: Scene) -> tuple[Ranked, ...]:
+    """All candidates by the drop of v'Pv that each alone would give."""
+    drops, dofs = nominal.field.statistics
+    found = []
+    for one, drop, dof, signal, size in zip(nominal.chosen, drops, dofs, nominal.field.signals, nominal.field.sizes,
+                                            strict=True):
+        seen = float(np.linalg.norm(signal) / max(float(np.linalg.norm(size)), 1e-300))
+        found.append(Ranked(one.label, float(drop), int(dof), seen))
+    return tuple(sorted(found, key=lambda r: -r.drop))
+
+
+def _held(
+    problem: Problem,
+    check: Mapping[str, NDArray[np.bool_]],
+    before: Estimate,
+    after: Estimate,
+    named: Sequence[Candidate],
+    rows: Sequence[int],
+) -> tuple[float, float] | None:
+    """Root mean square on held-out rows of the nominal model and of the one with what was found."""
+    first = held_out(problem, check, before)
+    if first is None:
+        return None
+    if not named and not rows:
+        return first.rms, first.rms
+    better = problem.free(*[c.selection for c in named]) if named else problem
+    masks = dict(check)
+    if rows:
+        kept = {
+            o.group: ~np.isin(o.rows, rows) | check.get(o.group, np.zeros(o.n, bool))
+            for o in problem.observations
+            if not o.is_prior
+        }
+        better = better.keep(kept)
+        masks = {group: mask[kept[group]] for group, mask in check.items() if kept[group].any()}
+    second = held_out(better, masks, after)
+    return (first.rms, second.rms) if second else None
+
+
+def _named(
+    scene: Scene, finding: Finding, named: Sequence[Candidate], after: Estimate
+) -> tuple[tuple[NamedEffect, ...], str]:
+    from calib.analyse.covariance import covariance
+    from calib.linearisation import linearise
+
+    fit = linearise(after)
+    values: dict[int, Array] = {
+        place: after.values[scene.chosen[place].unknown][scene.chosen[place].instance] for place in finding.effects
+    }
+    standing_in = aliases(scene.field, finding.effects, values, scene.columns)
+    effects, advice = [], []
+    widened = np.sqrt(finding.scale)
+    for place, p in zip(finding.effects, finding.p_effects, strict=True):
+        one = scene.chosen[place]
+        u = covariance(fit, one.selection).u * widened
+        parameters = {
+            q.name: (float(v / units.factor(q.unit)), float(s / units.factor(q.unit)), q.unit)
+            for q, v, s in zip(one.effect.parameters, values[place], u, strict=True)
+        }
+        others = [scene.chosen[o] for o in standing_in[place]]
+        same = tuple((o.effect.name, o.channel) for o in others)
+        effects.append(NamedEffect(one.effect.name, one.channel, parameters, p, same, plausibility(one, values[place])))
+        if others:
+            advice.append(what_would_tell(one, others))
+    return tuple(effects), "; ".join(advice)

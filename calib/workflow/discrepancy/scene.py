@@ -1,0 +1,73 @@
+"""The linear picture in which a disagreement is judged: nominal unknowns free, every effect a candidate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.analyse.score import Candidate, Field, candidates, field_of, orthonormal
+from calib.blocks import Array
+from calib.linearisation import Linearisation, linearise_system
+from calib.problem import Problem
+from calib.solve.estimate import Estimate
+from calib.system import System
+from calib.workflow.discrepancy.noise import lagged
+from calib.workflow.discrepancy.readings import Channel, channels, row_numbers
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One linearisation with its candidates, whitened derivatives (n, p), residual (n,) and channels."""
+
+    fit: Linearisation
+    chosen: tuple[Candidate, ...]
+    columns: tuple[Array, ...]
+    derivatives: Array
+    residual: Array
+    channels: tuple[Channel, ...]
+    field: Field
+
+    @cached_property
+    def readings(self) -> NDArray[np.int64]:
+        """Places of the scalar readings that may be blunders."""
+        return np.flatnonzero(row_numbers(self.fit) > 0)
+
+    def seen_through(self, rows: Array) -> Field:
+        """The field with every row divided by a scale (n,)."""
+        return _field(self.derivatives / rows[:, None], self.residual / rows, [c / rows[:, None] for c in self.columns])
+
+    def serial(self, correlation: float) -> Field:
+        """The field with rows whitened for serial correlation."""
+        return _field(
+            lagged(self.derivatives, self.channels, correlation),
+            lagged(self.residual[:, None], self.channels, correlation)[:, 0],
+            [lagged(c, self.channels, correlation) for c in self.columns],
+        )
+
+
+def _field(derivatives: Array, residual: Array, columns: Sequence[Array]) -> Field:
+    basis = orthonormal(derivatives, np.linalg.norm(derivatives, axis=0))
+    left = residual - basis @ (basis.T @ residual)
+    return Field(left, np.maximum(1 - np.sum(basis**2, axis=1), 0), basis, (), ()).with_signals(columns)
+
+
+def scene_of(problem: Problem, at: Estimate, named: Sequence[Candidate]) -> Scene:
+    """Linearise with the named effects held at their estimates and put back what they explain."""
+    held = problem.hold(*[c.selection for c in named]) if named else problem
+    fit = linearise_system(System(held), at.values)
+    chosen = tuple(candidates(fit))
+    columns = [fit.held_columns(c.columns) for c in chosen]
+    derivatives, residual = fit.rows
+    residual = residual.copy()
+    labels = {c.label for c in named}
+    for one, column in zip(chosen, columns, strict=True):
+        if one.label in labels:
+            residual += column @ at.values[one.unknown][one.instance]
+    basis = field_of(fit, ()).basis
+    left = residual - basis @ (basis.T @ residual)
+    field = Field(left, np.maximum(1 - np.sum(basis**2, axis=1), 0), basis, (), ()).with_signals(columns)
+    return Scene(fit, chosen, tuple(columns), derivatives.toarray(), residual, tuple(channels(fit, problem)), field)
