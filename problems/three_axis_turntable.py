@@ -1,0 +1,174 @@
+"""Three-axis turntable: perpendicularity, intersection and positioning of three nested axes from reflectors by a
+tracker.
+
+An outer axis C (vertical), a middle axis A and an inner axis B carry each other. A tracker measures reflectors on the
+inner table, each axis in steps with the others at a few places. The tracker's place and the reflectors' places are
+unknown.
+Source: ISO 230-1:2012, annex A (location errors); ISO 230-7:2015 (axes of rotation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from casadi import pi, vertcat
+from numpy.typing import ArrayLike
+
+from calib import Effect, Observations, Pose, Problem, Shared, Unknown, geometry, simulate
+from calib.job import Job
+from calib.mechanism import Frame, Mechanism, Rotary, encoder_harmonic, error_motion, location_errors, observe
+from calib.mechanism.inputs import checked_positions
+from calib.mechanism.resolved import quantity
+from calib.units import arcsec, degree, mm, um
+
+accepts = ("problems.three_axis_turntable",)
+AXES = ("C", "A", "B")
+LOCATION = ("EY0A (A)", "EB0A (A)", "EX0B (B)", "EZ0B (B)", "EC0B (B)")  # what readings see wherever the tracker stands
+REFLECTORS = np.array([[0.25, 0.0, 0.0], [-0.10, 0.05, 0.22], [-0.12, -0.05, -0.20]])
+columns = {"points": {"C, A, B": "commanded angles", "reflector": "name", "x, y, z": "in the tracker's frame"}}
+options = {"u": "standard uncertainty of a coordinate", "free": "further effects to estimate, such as "
+                                                                "[\"encoder_1x_C\"]"}
+
+
+def turntable() -> Mechanism:
+    """Three axes that cross in one point at right angles: C vertical outside, A within it, B inside."""
+    return Mechanism("three-axis turntable", axes=[Rotary("C", (0, 0, 1)), Rotary("A", (1, 0, 0), carried_by="C"),
+                                                   Rotary("B", (0, 1, 0), carried_by="A")],
+                     frames=[Frame("table", carried_by="B"), Frame("A_axis", carried_by="A"),
+                             Frame("C_axis", carried_by="C")])
+
+
+def effects() -> tuple[Effect, ...]:
+    """Location errors of A and B, two harmonics of each encoder, radial and tilt error motions of each axis."""
+    mechanism = turntable()
+    found = [e for e in location_errors(mechanism, ["A", "B"]) if e.label in LOCATION]
+    for axis in mechanism.axes:
+        found += [encoder_harmonic(axis, 1), encoder_harmonic(axis, 2)]
+        found += [error_motion(axis, "XYZABC"[i + kind], (2,)) for i in range(3) if i != axis.along for kind in (0, 3)]
+    return tuple(found)
+
+
+def declare(positions: ArrayLike, reflector: Sequence[object], points: ArrayLike | None, u: float,
+            world: geometry.Transform,
+            free: Sequence[str] = (), rows: ArrayLike | None = None) -> Problem:
+    """Declare the identification of the turntable.
+
+    positions: (n, 3) of C, A, B [rad]; reflector: (n,) names; points: (n, 3) [m] or None to plan; u: standard
+    uncertainty of a coordinate [m]; world: tracker_from_base, roughly; free: further effects; rows: numbers in the data
+    file.
+    Returns the problem with the unknowns `tracker_from_base`, `reflector`, the location errors free, and as quantities
+    the departures from perpendicular and the distances of C and A, A and B.
+    """
+    mechanism = turntable()
+    positions = checked_positions(mechanism, positions, rows)
+    names = list(dict.fromkeys(str(r) for r in reflector))
+    index = np.array([names.index(str(r)) for r in reflector])
+    start = np.zeros((len(names), 3)) if points is None else np.array(
+        [_back(mechanism, world, positions[index == i], np.asarray(points)[index == i]) for i in range(len(names))])
+    tracker = Pose("tracker_from_base", world.rotation, world.translation, unit="mm", angle_unit="arcsec")
+    places = Unknown("reflector", start if points is not None else REFLECTORS[:len(names)], "mm", keys=names)
+    observations = Observations(
+        observe.measured_point(mechanism.pose("table")), tracker, positions, places[index], readings=points, u=u,
+        group="points",
+        unit="um", components=("x", "y", "z"), rows=rows,
+        covariates={"reflector": np.array(names)[index], **{a: (positions[:, i], "rad") for i, a in enumerate(AXES)}})
+    problem = Problem([observations], effects=effects(), name="three-axis turntable")
+    problem = problem.free(*(problem.parameters(name) for name in (*LOCATION, *free)))
+    return problem.with_quantities(*(quantity(problem, f"{first}_to_{second}", mechanism.pose(f, seen_from=g), _lines,
+                                              Shared(np.zeros(3)), Shared(one), Shared(other), unit=["arcsec", "um"],
+                                              parts=("perpendicularity", "distance"))
+                                     for first, second, f, g, one, other in (
+                                         ("C", "A", "A_axis", "C_axis", (0.0, 0, 1), (1.0, 0, 0)),
+                                         ("A", "B", "table", "A_axis", (1.0, 0, 0), (0.0, 1, 0)))))
+
+
+def _back(mechanism: Mechanism, world: geometry.Transform, positions: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Mean place of a reflector on the table, by the nominal geometry."""
+    rotations, places = mechanism.poses("table", positions)
+    in_base = world.inverse() @ points
+    return np.mean(np.einsum("nji,nj->ni", rotations, in_base - places), axis=0)
+
+
+def _lines(pose: Any, positions: Any, one: Any, other: Any) -> Any:
+    """Angle of two axes less a right angle, and their distance; each passes through the origin of its frame."""
+    second = pose(positions)
+    direction = second.turn(other)
+    return vertcat(observe.angle_between(one, direction) - pi / 2,
+                   geometry.dot(second.translation, geometry.unit(geometry.cross(one, direction))))
+
+
+def from_job(job: Job) -> Problem:
+    """Declare the turntable of a job: table [data.points], options u and free. The tracker's place is found from the
+    data."""
+    table = job.table("points")
+    positions = np.stack([table.number(name, "angle") for name in AXES], axis=1)
+    points = np.stack([table.number(name, "length") for name in "xyz"], axis=1)
+    u, free = job.options.quantity("u", "length"), job.options.texts("free", ())
+    reflector = table.text("reflector")
+    return declare(positions, reflector, points, u, rough_place(positions, reflector, points), free, table.row_numbers)
+
+
+def rough_place(positions: np.ndarray, reflector: Sequence[str], points: np.ndarray) -> geometry.Transform:
+    """tracker_from_base from points of at least one reflector, by alternating two linear fits of the nominal
+    geometry."""
+    rotations, _ = turntable().poses("table", positions)
+    names = list(dict.fromkeys(reflector))
+    index = np.array([names.index(r) for r in reflector])
+    # R_t (F b) + t with R_t, t, b unknown: the products R_t (i, j) b_r (k) are linear; their best rank-one part gives
+    # both
+    design = np.zeros((len(points), 3, 3 * 3 * len(names) * 3 + 3))
+    design[:, :, -3:] = np.eye(3)
+    for row, (f, r) in enumerate(zip(rotations, index, strict=True)):
+        block = np.einsum("ab,jk->abjk", np.eye(3), f).reshape(3, 27)  # (component a; i, j, k) of R[i, j] F[j, k] b[k]
+        design[row, :, 27 * r:27 * (r + 1)] = block
+    solution = np.linalg.lstsq(design.reshape(-1, design.shape[2]), points.ravel(), rcond=None)[0]
+    tensor = solution[:-3].reshape(len(names), 9, 3).transpose(1, 0, 2).reshape(9, -1)
+    left, _, _ = np.linalg.svd(tensor, full_matrices=False)
+    best = None
+    for sign in (1.0, -1.0):
+        turn, _, other = np.linalg.svd(sign * left[:, 0].reshape(3, 3))
+        rotation = turn @ np.diag([1, 1, np.linalg.det(turn @ other)]) @ other
+        miss = np.linalg.norm(rotation / np.sqrt(3) - sign * left[:, 0].reshape(3, 3))
+        if best is None or miss < best[0]:
+            best = (miss, rotation)
+    assert best is not None
+    return geometry.Transform(best[1], solution[-3:])
+
+
+def _plan() -> tuple[np.ndarray, list[str]]:
+    turns = np.arange(0, 360, 30) * degree
+    rest = [0.0, 60 * degree]
+    rows = [(t, a, b) for t in turns for a in rest for b in rest[:1]] + [(0.0, t, b) for t in turns for b in rest] + \
+        [(c, 0.4, t) for t in turns for c in rest]
+    positions = np.repeat(np.array(rows), len(REFLECTORS), axis=0)
+    return positions, [str(i + 1) for _ in rows for i in range(len(REFLECTORS))]
+
+
+TRUTH = {"EY0A (A)": 8 * um, "EB0A (A)": 3 * arcsec, "EX0B (B)": -12 * um, "EZ0B (B)": 5 * um, "EC0B (B)": -4 * arcsec}
+
+
+def example(seed: int) -> Problem:
+    """Three reflectors in 72 postures, simulated with errors of the axes. seed: of the readings."""
+    positions, reflector = _plan()
+    world = geometry.Transform(geometry.rotation_from_rpy(0.02, -0.01, 1.0), np.array([2.5, 0.4, 0.3]))
+    problem = declare(positions, reflector, None, 5 * um, world, free=("encoder_1x_C",))
+    truth: dict[str, Any] = {problem.parameters(name).name: [[value]] for name, value in TRUTH.items()}
+    truth[problem.parameters("encoder_1x_C").name] = [[2 * arcsec, -3 * arcsec]]
+    return simulate(problem, truth, seed)
+
+
+def example_job(seed: int) -> dict[str, str]:
+    """A runnable job with simulated readings: {file name: text}. seed: of the errors."""
+    problem = example(seed)
+    observations = problem.observations[0]
+    c = observations.covariates
+    lines = ["# source: simulated, tracker and three reflectors on a three-axis turntable",
+             "C_deg,A_deg,B_deg,reflector,x_mm,y_mm,z_mm"]
+    for i, reading in enumerate(observations.readings):
+        lines.append(",".join(f"{c[a][i] / degree:.6f}" for a in AXES) + f",{c['reflector'][i]},"
+                     + ",".join(f"{v / mm:.6f}" for v in reading))
+    job = 'problem = "problems.three_axis_turntable"\n\n[data.points]\nfile = "points.csv"\n\n[options]\nu = "5 um"\n' \
+          'free = ["encoder_1x_C"]\n'
+    return {"job.toml": job, "points.csv": "\n".join(lines) + "\n"}

@@ -1,0 +1,71 @@
+"""Problems with mechanisms: every one recovers simulated errors within their stated uncertainty, also from its own
+job."""
+
+import importlib
+
+import numpy as np
+import pytest
+
+import calib
+from calib.job import Job
+
+NAMES = ("three_axis_turntable", "machine_21", "hexapod")
+
+
+def standardised(module, problem, estimate):
+    found = [problem.parameters(n) if "(" in n else problem.select(n) for n in module.TRUTH]
+    covariance = calib.covariance(calib.linearise(estimate), *found)
+    return (covariance.values - np.concatenate([np.ravel(v) for v in module.TRUTH.values()])) / covariance.u
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_simulated_errors_come_back_within_their_uncertainty(name):
+    module = importlib.import_module(f"problems.{name}")
+    problem = module.example(1)
+    estimate = calib.solve(problem)
+    assert estimate.certificate.passed
+    errors = standardised(module, problem, estimate)
+    assert np.abs(errors).max() < 4.0 and np.sqrt(np.mean(errors ** 2)) < 1.7
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_example_job_runs(name, tmp_path):
+    module = importlib.import_module(f"problems.{name}")
+    for file, text in module.example_job(2).items():
+        (tmp_path / file).write_text(text)
+    estimate = calib.solve(module.from_job(Job.read(tmp_path / "job.toml")))
+    assert estimate.certificate.passed and 0.7 < estimate.variance_factor < 1.35
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_the_stated_intervals_cover_the_truth_in_fifty_repetitions(name):
+    module = importlib.import_module(f"problems.{name}")
+    problem = module.example(1)
+    design = {o.group: o.readings for o in problem.observations if o.is_prior}
+    start = calib.solve(problem)
+    truth = {(problem.parameters(n) if "(" in n else problem.select(n).unknown).name: np.atleast_2d(v) for n,
+             v in module.TRUTH.items()}
+    errors = []
+    for seed in range(50):
+        drawn = calib.simulate(problem, truth, seed)
+        if name == "hexapod":
+            drawn = drawn.with_readings(design)
+        errors.append(standardised(module, drawn, calib.solve(drawn, start=start)))
+    inside = np.mean(np.abs(errors) < 1.96)
+    assert inside == pytest.approx(0.95, abs=0.04)
+
+
+def test_a_hexapod_is_commanded_by_its_calibrated_joints():
+    from calib.geometry import Transform, rotation_from_rpy
+    from problems import hexapod
+    problem = hexapod.example(1)
+    wanted = Transform(rotation_from_rpy(0.05, -0.1, 0.02), np.array([0.01, -0.02, 0.56]))
+    quantity = hexapod.commands(problem, wanted)
+    estimate = calib.solve(problem.with_quantities(quantity))
+    found = calib.covariance(calib.linearise(estimate), quantity)
+    base, top, zero = (hexapod.TRUTH[n] for n in ("base_joint", "platform_joint", "zero"))
+    true = np.linalg.norm(wanted @ top - base, axis=1) - zero[:, 0]
+    nominal = np.linalg.norm(wanted @ hexapod.joints()[1] - hexapod.joints()[0], axis=1) - 0.30
+    assert np.all(np.abs(found.values - true) < 4 * found.u)
+    assert np.abs(found.values - true).max() < 0.05 * np.abs(nominal - true).max()
