@@ -142,10 +142,10 @@ def rotations_from_quaternions(w: ArrayLike, x: ArrayLike, y: ArrayLike, z: Arra
                          "length "
                          f"{length[wrong[0]]:.4g}, not 1; check the columns, or divide it by its length where it was "
                          "rounded.")
-    w, x, y, z = (q / length[:, None]).T
-    return np.stack([np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], 1),
-                     np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], 1),
-                     np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], 1)], 1)
+    a, b, c, d = (q / length[:, None]).T
+    return np.stack([np.stack([1 - 2 * (c * c + d * d), 2 * (b * c - d * a), 2 * (b * d + c * a)], 1),
+                     np.stack([2 * (b * c + d * a), 1 - 2 * (b * b + d * d), 2 * (c * d - b * a)], 1),
+                     np.stack([2 * (b * d - c * a), 2 * (c * d + b * a), 1 - 2 * (b * b + c * c)], 1)], 1)
 
 
 def quaternion(rotation: ArrayLike) -> Array:
