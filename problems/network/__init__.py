@@ -1,26 +1,66 @@
 """Survey networks: points and instruments that see one another, adjusted together, with any datum.
 
 Distances, directions, angles, azimuths, zenith angles, height differences, vectors and coordinates, with full
-covariance; points fixed, adjusted, or the constrained ones of a free network. Reads the .gkf files of GNU Gama.
-Source: GNU Gama manual; Baarda (1968); Meissl (1962).
+covariance; points fixed, adjusted, or the constrained ones of a free network. Reads the .gkf files of GNU Gama and
+tables. Start values, if none are given, are found from the readings.
 """
 
 from __future__ import annotations
 
 from calib import Problem
 from calib.job import Job
+from problems.network.blunders import advice
+from problems.network.checks import checked, started
 from problems.network.declare import declare, settle
+from problems.network.effects import effects
+from problems.network.example import example, example_job
 from problems.network.gkf import read_gkf
 from problems.network.start import positions
-from problems.network.survey import Batch, Point, Survey
+from problems.network.survey import Batch, Correlated, Point, Survey
+from problems.network.tables import columns, options, read_tables
 
 accepts = ("problems.network", "network", ".gkf")
 named_by_key = ("point",)
+source = "GNU Gama manual; Baarda (1968), reliability; Meissl (1962), free networks"
+
+
+def surveyed(job: Job) -> Survey:
+    """The survey of a .gkf file or of a job with tables, checked, with a position for every point."""
+    return started(checked(read_gkf(job.path) if job.path.suffix == ".gkf" else read_tables(job)))
 
 
 def from_job(job: Job) -> Problem:
-    """Declare the network of a .gkf file."""
-    return declare(settle(positions(read_gkf(job.path))))
+    """Declare the network of a .gkf file or of a job with tables.
+
+    Raises InputError naming points and what they lack, where the network cannot be adjusted.
+    """
+    return declare(settle(surveyed(job)))
 
 
-__all__ = ["Batch", "Point", "Survey", "declare", "from_job", "positions", "read_gkf", "settle"]
+def remarks(job: Job) -> list[str]:
+    """What was left out or taken otherwise than it was written, as sentences."""
+    return list(surveyed(job).remarks)
+
+
+__all__ = [
+    "Batch",
+    "Correlated",
+    "Point",
+    "Survey",
+    "advice",
+    "checked",
+    "columns",
+    "declare",
+    "effects",
+    "example",
+    "example_job",
+    "from_job",
+    "options",
+    "positions",
+    "read_gkf",
+    "read_tables",
+    "remarks",
+    "settle",
+    "started",
+    "surveyed",
+]

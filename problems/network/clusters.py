@@ -63,7 +63,8 @@ def batches(clusters: Sequence[tuple[list[Record], Array | None]]) -> tuple[list
         index = [i for i, (records, _) in enumerate(groups) for _ in records]
         u = Gaussian.groups(index, {i: matrix for i, (_, matrix) in enumerate(groups)})
         several = sum(k == kind for k, _ in (*loose, *bound)) > 1
-        group = f"{kind} (correlated{'' if sum(k == kind for k, _ in bound) == 1 else ', ' + unit})" if several else kind
+        note = "" if sum(k == kind for k, _ in bound) == 1 else f", {unit}"
+        group = f"{kind} (correlated{note})" if several else kind
         found.append(_batch([r for records, _ in groups for r in records], u, group))
     return found, mixed
 
@@ -80,7 +81,8 @@ def _connected(records: list[Record], covariance: Array) -> list[tuple[list[Reco
     sets = []
     for k in range(count):
         inside = label[of_value] == k
-        sets.append(([r for r, own in zip(records, label, strict=True) if own == k], covariance[np.ix_(inside, inside)]))
+        members = [r for r, own in zip(records, label, strict=True) if own == k]
+        sets.append((members, covariance[np.ix_(inside, inside)]))
     return sets
 
 

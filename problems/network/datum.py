@@ -36,7 +36,7 @@ class Nearest:
 def inner_constraints(problem: Problem, point: Unknown, chosen: NDArray[np.bool_]) -> Problem:
     """The problem with as many conditions as its readings leave free, on the coordinates of the chosen points.
 
-    point: unknown of all points, at the positions to stay nearest to; chosen: (count, parts) coordinates that take part.
+    point: unknown of all points, at the positions to stay nearest to; chosen: (count, parts) coordinates that count.
     Returns the problem itself where the readings leave nothing free.
     """
     fit = linearise(problem)
@@ -50,7 +50,7 @@ def inner_constraints(problem: Problem, point: Unknown, chosen: NDArray[np.bool_
     kept = left[:, lengths > 1e-9 * lengths[0]].T.reshape(-1, point.count, point.freedom)
     involved = np.flatnonzero(chosen.any(axis=1))
     given = point.ambient[involved]
-    # A solver meets a condition to a thousandth of its tolerance: large coordinates are rounded more coarsely than 1 nm.
+    # A solver meets a condition to a thousandth of its tolerance, and large coordinates are rounded to some nm.
     tolerance = max(1e-7, 2e4 * np.finfo(float).eps * float(np.abs(given).max()))
     datum = Constraint(
         "datum",

@@ -308,7 +308,8 @@ def _stated(found: _Network, element: Element, value: float) -> float | None:
     try:
         constant, per_km, power = [*map(float, text.split()), *(0.0, 1.0)[max(0, len(text.split()) - 1):]][:3]
     except ValueError:
-        raise found.wrong(element, f"{DEFAULTS[element.tag]}='{text}' is not one to three numbers; correct it") from None
+        name = DEFAULTS[element.tag]
+        raise found.wrong(element, f"{name}='{text}' is not one to three numbers; correct it") from None
     return constant + per_km * (abs(value) / 1000.0) ** power if "distance" in element.tag else constant
 
 
@@ -357,6 +358,7 @@ def _taking_part(found: _Network) -> tuple[list[tuple[list[Record], Array | None
                      None if covariance is None else covariance[np.ix_(inside, inside)]))
     return kept, [
         f"{len(rows)} reading(s) of kind {kind} (row {', '.join(map(str, rows[:5]))}{' ...' if rows[5:] else ''}) "
-        f"take no part: point '{key}' is neither fixed nor adjusted in {needs}; write fix or adj with {needs} to use them."
+        f"take no part: point '{key}' is neither fixed nor adjusted in {needs}; write fix or adj with {needs} to use "
+        "them."
         for (key, kind, needs), rows in left_out.items()
     ]

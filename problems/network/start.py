@@ -108,7 +108,8 @@ def sketch(survey: Survey, known: dict[str, np.ndarray]) -> Sketch:
                 found.vectors[a, b] = complex(value[0], survey.sense * value[1])
                 found.vectors[b, a] = -found.vectors[a, b]
             elif batch.kind == "slope distance" and (a, b) not in found.lengths:
-                rise = known[b][2] - known[a][2] + batch.heights("target_height")[i] - batch.heights("station_height")[i]
+                up = batch.heights("target_height")[i] - batch.heights("station_height")[i]
+                rise = known[b][2] - known[a][2] + up
                 if (a, b) in zenith:
                     found.both_ways(a, b, value[0] * np.sin(zenith[a, b]))
                 elif np.isfinite(rise) and abs(rise) < value[0]:

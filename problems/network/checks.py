@@ -1,0 +1,164 @@
+"""What is wrong with a survey before anything is solved: each finding names points, what they lack, and a cure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib import predict
+from calib.errors import InputError
+from problems.network.declare import declare_free
+from problems.network.start import positions
+from problems.network.survey import ADJUSTED, CONSTRAINED, FIXED, Survey
+
+GROSS = 0.3      # misfit of a start, in radians or relative to the length, that no reading can have
+LISTED = 6
+
+
+def named(keys: list[str]) -> str:
+    """Keys of points as people list them."""
+    return ", ".join(f"'{key}'" for key in keys[:LISTED]) + (f" and {len(keys) - LISTED} more" if keys[LISTED:] else "")
+
+
+def checked(survey: Survey) -> Survey:
+    """The survey, with remarks about points that nothing reads.
+
+    Raises InputError where parts of the network are not joined, points have fewer readings than coordinates, or lengths
+    contradict the coordinates by their unit.
+    """
+    _joined(survey)
+    _enough(survey)
+    unread = [key for key, point in survey.points.items()
+              if {ADJUSTED, CONSTRAINED} & {point.plane, point.height} and key not in _readings_of(survey)]
+    if unread:
+        survey = replace(survey, remarks=(
+            *survey.remarks, f"Point {named(unread)} is to be adjusted and nothing reads it: it has no result. Add "
+            "readings to it, or take it out of the list of points."))
+    return survey
+
+
+def _readings_of(survey: Survey) -> dict[str, int]:
+    """Number of scalar readings that see each point."""
+    count: dict[str, int] = {}
+    for batch in survey.every_batch:
+        dim = len(batch.model.components)
+        for keys in batch.ends:
+            for key, times in zip(*np.unique(keys, return_counts=True), strict=True):
+                count[str(key)] = count.get(str(key), 0) + int(times) * dim
+    return count
+
+
+def _enough(survey: Survey) -> None:
+    parts = survey.parts
+    for key, count in _readings_of(survey).items():
+        point = survey.points[key]
+        free = [part for part in parts if point.role(part) in (ADJUSTED, CONSTRAINED)]
+        if count < len(free):
+            raise InputError(f"point '{key}' has {len(free)} unknown coordinates ({', '.join(free)}) and {count} "
+                             f"reading{'' if count == 1 else 's'}; it lacks {len(free) - count}: read it from another "
+                             "station, or give its coordinates")
+
+
+def _joined(survey: Survey) -> None:
+    """Every point must hang together with the datum: fixed points, observed coordinates, or one free whole."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    place = {key: i + 1 for i, key in enumerate(survey.points)}          # 0 stands for the datum
+    links: list[tuple[int, int]] = []
+    parts = survey.parts
+    for key, point in survey.points.items():
+        if FIXED in {point.role(part) for part in parts}:
+            links.append((0, place[key]))
+    for batch in survey.every_batch:
+        ends = [[place[key] for key in keys.tolist()] for keys in batch.ends]
+        links += [(0, i) for i in ends[0]] if len(ends) == 1 else []
+        for other in ends[1:]:
+            links += list(zip(ends[0], other, strict=True))
+    if not links:
+        return
+    i, j = np.array(links).T
+    size = len(place) + 1
+    label = connected_components(coo_matrix((np.ones(len(i)), (i, j)), (size, size)), directed=False)[1]
+    read = _readings_of(survey)
+    sets: dict[int, list[str]] = {}
+    for key in read:
+        sets.setdefault(int(label[place[key]]), []).append(key)
+    anchored = label[0] in sets
+    alone = {k: keys for k, keys in sets.items() if k != label[0]} if anchored else sets
+    if len(alone) > (0 if anchored else 1):
+        smallest = min(alone.values(), key=len)
+        rest = "to the fixed points" if anchored else "to the rest"
+        raise InputError(f"the network falls apart: nothing joins {named(smallest)} {rest}; add readings between the "
+                         "two parts, fix points in each, or adjust them one by one")
+
+
+def started(survey: Survey) -> Survey:
+    """The survey with a position for every point, and remarks where given positions were grossly wrong.
+
+    Raises InputError where lengths and coordinates contradict each other in their unit, or a point cannot be placed.
+    """
+    placed = positions(survey)
+    suspects = _gross(placed)
+    if not suspects:
+        return placed
+    factor = _length_factor(placed)
+    if factor is not None:
+        raise InputError(f"the distances are {factor:.4g} times what the coordinates say: one of the two is not in "
+                         "metres; correct the unit of the distances or of the coordinates")
+    fresh = {key: replace(point, position=(np.nan,) * 3)
+             if FIXED not in (point.plane, point.height) else point for key, point in survey.points.items()}
+    try:
+        again = positions(replace(survey, points=fresh))
+    except InputError:
+        return placed
+    if len(_gross(again)) >= len(suspects):
+        return placed
+    scale = np.nanmax(np.ptp([p.position for p in again.points.values()], axis=0))
+    moved = []
+    for key, point in placed.points.items():
+        apart = float(np.sqrt(np.nansum(np.subtract(point.position, again.points[key].position) ** 2)))
+        if key in suspects and apart > 0.1 * scale:
+            moved.append(f"'{key}' by {apart:.4g} m")
+    if not moved:
+        return placed
+    return replace(again, remarks=(
+        *survey.remarks, f"The given coordinates of {', '.join(moved[:LISTED])} lie far from where the readings put "
+        "them; the adjustment started from the readings. Correct them, if they are more than start values."))
+
+
+def _gross(survey: Survey) -> set[str]:
+    """Adjusted points of readings that the positions miss by a large part of a radian or of a length."""
+    problem = declare_free(survey)
+    suspects: set[str] = set()
+    predicted = predict(problem)
+    for batch in survey.batches:
+        values = batch.values
+        if values is None or batch.model.points == 1 or batch.kind == "height difference" or not len(batch):
+            continue
+        miss = np.abs(values - predicted[batch.group or batch.kind])
+        if batch.model.angular:
+            miss = np.abs(miss - 2.0 * np.pi * np.rint(miss / (2.0 * np.pi)))
+            gross = miss[:, 0] > GROSS
+        else:
+            gross = np.linalg.norm(miss, axis=1) > GROSS * np.linalg.norm(values, axis=1)
+        for keys in batch.ends:
+            suspects |= {key for key in keys[gross].tolist()
+                         if {ADJUSTED, CONSTRAINED} & {survey.points[key].plane, survey.points[key].height}}
+    return suspects
+
+
+def _length_factor(survey: Survey) -> float | None:
+    """By how much all distances differ from the coordinates, where it is the same large factor for most of them."""
+    problem = declare_free(survey)
+    predicted = predict(problem)
+    ratios = np.concatenate([np.zeros(0), *(
+        batch.values[:, 0] / predicted[batch.group or batch.kind][:, 0]
+        for batch in survey.batches if batch.kind in ("distance", "slope distance") and batch.values is not None
+    )])
+    if len(ratios) < 2:
+        return None
+    middle = float(np.median(ratios))
+    alike = np.abs(ratios / middle - 1.0) < 0.05
+    return middle if alike.mean() > 0.5 and not 1 / 1.5 < middle < 1.5 else None
