@@ -1,14 +1,17 @@
-"""Rows: one list of scalar instructions, run once with NumPy vectors over all rows."""
+"""Rows: one list of scalar instructions, run once over all rows, by NumPy on vectors or compiled (calib.compiled)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+
+from calib.compiled import CompiledRows, Instruction, pays
 
 Array = NDArray[Any]
 CHUNK = 4096  # rows at a time: the work vectors of a few hundred instructions then stay in the cache
@@ -82,17 +85,36 @@ _BINARY: dict[str, Callable[..., Any]] = {
 }
 
 
-def _operations() -> dict[int, Callable[..., Any]]:
-    table = {**_UNARY, **_BINARY}
-    return {getattr(ca, f"OP_{name}"): function for name, function in table.items() if hasattr(ca, f"OP_{name}")}
+_OPERATIONS = {**_UNARY, **_BINARY}
+_NAMES = {getattr(ca, f"OP_{name}"): name for name in _OPERATIONS if hasattr(ca, f"OP_{name}")}
+_EVALUATIONS = 10  # how often a solve is taken to come back with the same rows
 
 
-_OPERATION = _operations()
-_BINARY_CODES = {getattr(ca, f"OP_{name}") for name in _BINARY if hasattr(ca, f"OP_{name}")}
+def instructions_of(function: ca.Function) -> list[Instruction]:
+    """The scalar instructions of a CasADi SX function with one column as output; inputs are counted through.
+
+    Raises NotImplementedError for an operation that no back end knows.
+    """
+    offsets = np.concatenate([[0], np.cumsum([function.nnz_in(i) for i in range(function.n_in())])]).astype(int)
+    found = []
+    for k in range(function.n_instructions()):
+        code, ins, outs = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        if code == ca.OP_CONST:
+            found.append(Instruction("CONST", outs[0], value=function.instruction_constant(k)))
+        elif code == ca.OP_INPUT:
+            found.append(Instruction("INPUT", outs[0], int(offsets[ins[0]]) + ins[1]))
+        elif code == ca.OP_OUTPUT:
+            found.append(Instruction("OUTPUT", outs[1], ins[0]))
+        elif code in _NAMES:
+            name = _NAMES[code]
+            found.append(Instruction(name, outs[0], ins[0], ins[1] if name in _BINARY else -1))
+        else:
+            raise NotImplementedError(f"CasADi operation {code} is not known to the row back end")
+    return found
 
 
 class Program:
-    """A CasADi SX function as a list of NumPy operations over rows.
+    """A CasADi SX function as a list of operations over rows, run by NumPy or compiled where that pays.
 
     inputs: column vectors, in order; output: one column vector. Called with one number or (n,) array for each scalar
     input it returns (outputs, n).
@@ -100,31 +122,26 @@ class Program:
 
     def __init__(self, inputs: Sequence[ca.SX], output: ca.SX):
         function = ca.Function("rows", list(inputs), [output])
-        offsets = np.concatenate([[0], np.cumsum([i.shape[0] for i in inputs])]).astype(int)
-        self.inputs, self.outputs = int(offsets[-1]), output.shape[0]
+        self.inputs, self.outputs = sum(i.shape[0] for i in inputs), output.shape[0]
         self._work = function.sz_w()
-        self._constants: list[tuple[int, float]] = []
-        self._loads: list[tuple[int, int]] = []
-        steps: list[tuple[int, Callable[..., Any] | None, int, int]] = []
-        for k in range(function.n_instructions()):
-            code, ins, outs = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
-            if code == ca.OP_CONST:
-                steps.append((outs[0], None, -1, len(self._constants)))
-                self._constants.append((outs[0], function.instruction_constant(k)))
-            elif code == ca.OP_INPUT:
-                steps.append((outs[0], None, -2, int(offsets[ins[0]]) + ins[1]))
-            elif code == ca.OP_OUTPUT:
-                steps.append((outs[1], None, -3, ins[0]))
-            elif code in _OPERATION:
-                steps.append((outs[0], _OPERATION[code], ins[0], ins[1] if code in _BINARY_CODES else -1))
-            else:
-                raise NotImplementedError(f"CasADi operation {code} is not known to the row back end")
-        self._steps = steps
+        self._instructions = instructions_of(function)
+        self._steps = [_step(instruction) for instruction in self._instructions]
 
     def __len__(self) -> int:
         return len(self._steps)
 
     def __call__(self, inputs: Sequence[Any], n: int) -> Array:
+        return self.run(inputs, n, compiled=pays(len(self._steps), _EVALUATIONS * n))
+
+    @cached_property
+    def compiled(self) -> CompiledRows:
+        """The same instructions, compiled."""
+        return CompiledRows(self._instructions, self.outputs)
+
+    def run(self, inputs: Sequence[Any], n: int, compiled: bool) -> Array:
+        """Outputs (outputs, n), by the back end that the caller has chosen for all its calls."""
+        if compiled:
+            return self.compiled(inputs, n)
         result = np.empty((self.outputs, n))
         with np.errstate(all="ignore"):  # a value that is not finite is found and named where it matters
             for begin in range(0, n, CHUNK):
@@ -134,13 +151,30 @@ class Program:
 
     def _run(self, inputs: Sequence[Any], result: Array) -> None:
         work: list[Any] = [None] * (self._work + 1)
-        constants = self._constants
-        for out, operation, a, b in self._steps:
-            if operation is not None:
-                work[out] = operation(work[a]) if b < 0 else operation(work[a], work[b])
-            elif a == -2:
-                work[out] = inputs[b]
-            elif a == -3:
-                result[out] = work[b]
+        for operation, out, a, b, constant in self._steps:
+            if operation is _input:
+                work[out] = inputs[a]
+            elif operation is _output:
+                result[out] = work[a]
+            elif operation is _constant:
+                work[out] = constant
             else:
-                work[out] = np.float64(constants[b][1])
+                work[out] = operation(work[a]) if b < 0 else operation(work[a], work[b])
+
+
+def _input() -> None: ...
+
+
+def _output() -> None: ...
+
+
+def _constant() -> None: ...
+
+
+_PLACED: dict[str, Callable[..., Any]] = {"INPUT": _input, "OUTPUT": _output, "CONST": _constant}
+
+
+def _step(one: Instruction) -> tuple[Callable[..., Any], int, int, int, Any]:
+    """An instruction with its function, which is looked up once."""
+    operation = _PLACED.get(one.name) or _OPERATIONS[one.name]
+    return operation, one.out, one.first, one.second, np.float64(one.value)
