@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from calib.analyse.components import VarianceComponents, variance_components
     from calib.analyse.estimability import Estimability, estimability
     from calib.analyse.reliability import Reliability, reliability
+    from calib.analyse.selection.criterion import A, C, D, Ds, E, G, I, WorstCase
+    from calib.analyse.selection.floors import Floors
+    from calib.analyse.selection.method import BranchAndBound, Conic, Exchange, Exhaustive, Greedy, Relaxation
+    from calib.analyse.selection.select import Choice, select
     from calib.solve.convex import Convex
     from calib.solve.ipopt import ExactHessian, GaussNewtonHessian, Ipopt
     from calib.solve.loss import L1, Huber, LeastSquares, MinimumZone
@@ -33,6 +37,10 @@ _LATER = {
     "analyse.components": ("VarianceComponents", "variance_components"),
     "analyse.estimability": ("Estimability", "estimability"),
     "analyse.reliability": ("Reliability", "reliability"),
+    "analyse.selection.criterion": ("A", "C", "D", "Ds", "E", "G", "I", "WorstCase"),
+    "analyse.selection.floors": ("Floors",),
+    "analyse.selection.method": ("BranchAndBound", "Conic", "Exchange", "Exhaustive", "Greedy", "Relaxation"),
+    "analyse.selection.select": ("Choice", "select"),
     "solve.convex": ("Convex",),
     "solve.ipopt": ("ExactHessian", "GaussNewtonHessian", "Ipopt"),
     "solve.loss": ("L1", "Huber", "LeastSquares", "MinimumZone"),
@@ -54,20 +62,34 @@ def __dir__() -> list[str]:
 
 __all__ = [
     "L1",
+    "A",
+    "BranchAndBound",
     "Budget",
+    "C",
+    "Choice",
+    "Conic",
     "Constraint",
     "Convex",
     "Covariance",
+    "D",
     "Direction",
+    "Ds",
+    "E",
     "Effect",
     "Estimability",
     "Estimate",
     "ExactHessian",
+    "Exchange",
+    "Exhaustive",
     "Explanation",
+    "Floors",
+    "G",
     "GaussNewton",
     "GaussNewtonHessian",
     "Gaussian",
+    "Greedy",
     "Huber",
+    "I",
     "Ipopt",
     "LeastSquares",
     "Linearisation",
@@ -78,11 +100,13 @@ __all__ = [
     "Pose",
     "Problem",
     "Quantity",
+    "Relaxation",
     "Reliability",
     "Rotation",
     "Shared",
     "Unknown",
     "VarianceComponents",
+    "WorstCase",
     "budget",
     "covariance",
     "direct",
@@ -94,6 +118,7 @@ __all__ = [
     "predict",
     "prior",
     "reliability",
+    "select",
     "simulate",
     "solve",
     "variance_components",

@@ -95,8 +95,9 @@ def refuse_what_cannot_be_known(fit: Linearisation, functions: Functions) -> Non
     if not fit.factor.defect:
         return
     derivatives, null = fit.free_part(functions.derivatives), fit.factor.null
-    scale = np.abs(derivatives) @ np.abs(null)
-    hidden = np.flatnonzero(np.any(np.abs(derivatives @ null) > 1e-7 * np.where(scale > 0, scale, 1.0), axis=1))
+    size = sizes(fit)      # without it the rounding in a null direction would count as much as the direction itself
+    share = np.outer(np.linalg.norm(derivatives / size, axis=1), np.linalg.norm(null * size[:, None], axis=0))
+    hidden = np.flatnonzero(np.any(np.abs(derivatives @ null) > 1e-7 * share, axis=1))
     if len(hidden):
         sentences = defect_in_words(fit.layout, null, lambda: sizes(fit))
         raise RankDefect(

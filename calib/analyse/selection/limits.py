@@ -1,0 +1,151 @@
+"""What a choice must respect: how many, at what cost, how many of a kind, what excludes each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib.analyse.selection.candidates import Candidates, weights_of
+from calib.blocks import Array
+from calib.errors import InputError
+
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Linear limits matrix w <= most on weights w (n,) in [0, 1]; words: (r,) each limit in the user's words.
+
+    keep: number to keep where that is one of the limits (then it is the first).
+    """
+
+    matrix: Array
+    most: Array
+    words: tuple[str, ...]
+    keep: int | None
+
+    @property
+    def only_keep(self) -> bool:
+        """Whether nothing but the number is limited."""
+        return self.keep is not None and len(self.most) == 1
+
+    def allow(self, weights: Array) -> bool:
+        """Whether weights (n,) respect the limits."""
+        return bool(np.all(self.matrix @ weights <= self.most + ROUNDING))
+
+    def room(self, used: Array) -> NDArray[np.bool_]:
+        """Which candidates (n,) can still be added when `used` (r,) of each limit is taken."""
+        return np.asarray(np.all(self.matrix <= (self.most - used)[:, None] + ROUNDING, axis=0))
+
+    def largest(self, gain: Array, lower: Array, upper: Array) -> float:
+        """Maximum of gain.w over the limits with lower <= w <= upper (n,): a sort, or a linear program."""
+        if self.only_keep:
+            base = float(gain @ lower)
+            left = round(float(self.most[0] - lower.sum()))
+            free = np.sort(np.maximum(gain[upper > lower], 0.0))[::-1]
+            return base + float(free[:left].sum())
+        from scipy.optimize import linprog
+
+        found = linprog(-gain, A_ub=self.matrix, b_ub=self.most, bounds=np.column_stack([lower, upper]),
+                        method="highs")
+        # The dual of the program bounds it from above whatever the solver's tolerance on the primal side is.
+        price = np.maximum(-found.ineqlin.marginals, 0.0)
+        reduced = gain - self.matrix.T @ price
+        return float(price @ self.most + np.sum(np.where(reduced > 0, reduced * upper, reduced * lower)))
+
+
+def limits_of(candidates: Candidates, keep: int | None, costs: Mapping[str, float] | ArrayLike | None,
+              budget: float | None, at_most: Mapping[Any, int] | None, exclusive: Sequence[Sequence[Any]]) -> Limits:
+    """The limits of a request.
+
+    keep: how many; costs, budget: of the candidates and in all; at_most: {covariate: k} or {(labels...): k}, at most k
+    candidates of each value; exclusive: sets of labels of which at most one may be chosen.
+    Raises InputError where they contradict each other, with the nearest request that can be met.
+    """
+    n = len(candidates)
+    rows, most, words = [], [], []
+    if keep is None and budget is None:
+        raise InputError("say how many candidates to keep, or give costs and a budget")
+    if keep is not None:
+        if keep != int(keep) or not 1 <= keep <= n:
+            raise InputError(f"keep = {keep}: there are {n} candidates; ask for 1 to {n}")
+        rows.append(np.ones(n))
+        most.append(float(keep))
+        words.append(f"keep {keep}")
+    if budget is None and costs is not None:
+        raise InputError("costs without a budget limit nothing; give the budget")
+    if budget is not None:
+        cost = weights_of(candidates, costs, 1.0)
+        if not np.all(np.isfinite(cost)) or np.any(cost < 0):
+            worst = int(np.argmin(np.where(np.isfinite(cost), cost, -np.inf)))
+            raise InputError(f"costs: '{candidates.labels[worst]}' costs {cost[worst]}; costs are finite and not "
+                             "negative")
+        if cost.min() > budget:
+            raise InputError(f"budget {budget:g}: the cheapest candidate, '{candidates.labels[int(np.argmin(cost))]}', "
+                             f"costs {cost.min():g}; raise the budget to that at least")
+        rows.append(cost)
+        most.append(float(budget))
+        words.append(f"the budget of {budget:g}")
+    for key, count in (at_most or {}).items():
+        for value, mine in _kinds(candidates, key):
+            if mine.sum() > count:
+                rows.append(mine.astype(float))
+                most.append(float(count))
+                words.append(f"at most {count} of {value}")
+    for group in exclusive:
+        rows.append(np.isin(np.arange(n), [_number(candidates, label) for label in group]).astype(float))
+        most.append(1.0)
+        words.append("one of " + ", ".join(str(label) for label in group))
+    limits = Limits(np.array(rows), np.array(most), tuple(words), None if keep is None else int(keep))
+    _refuse_contradictions(limits)
+    return limits
+
+
+def _kinds(candidates: Candidates, key: Any) -> list[tuple[str, NDArray[np.bool_]]]:
+    """The kinds that a covariate, or an explicit list of labels, makes among the candidates."""
+    n = len(candidates)
+    if not isinstance(key, str):
+        numbers = [_number(candidates, label) for label in key]
+        return [(f"{key[0]}, ...", np.isin(np.arange(n), numbers))]
+    kinds: dict[str, NDArray[np.bool_]] = {}
+    for name, numbers in candidates.members.items():
+        covariates = candidates.fit.group(name).covariates
+        if key in covariates:
+            for number, value in zip(numbers, np.asarray(covariates[key]).tolist(), strict=True):
+                if number >= 0:
+                    kinds.setdefault(f"{key} {value}", np.zeros(n, dtype=bool))[number] = True
+    if not kinds:
+        there = sorted({c for name in candidates.members for c in candidates.fit.group(name).covariates})
+        raise InputError(f"at_most: no candidate has a covariate '{key}'; there are: {', '.join(there) or 'none'}")
+    return list(kinds.items())
+
+
+def _number(candidates: Candidates, label: Any) -> int:
+    if isinstance(label, (int, np.integer)) and 0 <= label < len(candidates):
+        return int(label)
+    if str(label) not in candidates.labels:
+        from calib.units import near_matches
+
+        near = near_matches(str(label), list(candidates.labels))
+        hint = f"did you mean '{near[0]}'?" if near else f"the first is '{candidates.labels[0]}'"
+        raise InputError(f"there is no candidate '{label}'; {hint}")
+    return candidates.labels.index(str(label))
+
+
+def _refuse_contradictions(limits: Limits) -> None:
+    if limits.keep is None or len(limits.most) == 1:
+        return
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
+    n = limits.matrix.shape[1]
+    others = LinearConstraint(limits.matrix[1:], ub=limits.most[1:])
+    found = milp(-np.ones(n), integrality=np.ones(n), bounds=Bounds(0, 1), constraints=others)
+    most = round(float(-found.fun)) if found.success else 0
+    if most < limits.keep:
+        listed = "; ".join(limits.words[1:4]) + (f" and {len(limits.words) - 4} more" if len(limits.words) > 4 else "")
+        raise InputError(f"keep = {limits.keep} contradicts the other limits ({listed}), which leave room for {most}; "
+                         f"ask for {most} or loosen them")

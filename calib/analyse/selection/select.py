@@ -1,0 +1,278 @@
+"""Choose observations: the best ones found, how far they can be from the optimum, and what u they promise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.analyse.covariance import covariance
+from calib.analyse.selection.candidates import Candidates, candidates_of, repeated
+from calib.analyse.selection.criterion import D, WorstCase
+from calib.analyse.selection.exact import begun, branch_and_bound, enumerated, exhaustive, subsets
+from calib.analyse.selection.exchange import exchange
+from calib.analyse.selection.floors import Checked, Floors, refusal, with_floors
+from calib.analyse.selection.greedy import greedy
+from calib.analyse.selection.limits import Limits, limits_of
+from calib.analyse.selection.method import BranchAndBound, Conic, Exchange, Exhaustive, Method, Relaxation
+from calib.analyse.selection.objective import Objective
+from calib.analyse.selection.reduced import reduced
+from calib.analyse.selection.relaxation import Relaxed, relax
+from calib.blocks import Array
+from calib.errors import InputError, RankDefect
+from calib.linearisation import Linearisation
+
+FEW = 20_000      # subsets up to which all are looked at where no method was named
+
+
+@dataclass(frozen=True)
+class Promise:
+    """Standard uncertainty (SI) of one quantity with all candidates and with the chosen ones; unit is for display."""
+
+    name: str
+    unit: str
+    u_all: float
+    u_chosen: float
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Chosen observations.
+
+    criterion, method: names; keep: number asked for, or None; chosen: numbers of the candidates, ascending; labels:
+    theirs; rows: {group: row numbers of the data file}; masks: for `Problem.keep`; value, bound: of the criterion and
+    what no choice can beat; gap: 1 - value/bound for a maximum, value/bound - 1 for a minimum; proven: whether it is
+    the optimum; promises: u of each quantity; seconds: of the search; remarks: sentences.
+    """
+
+    criterion: str
+    method: str
+    keep: int | None
+    chosen: tuple[int, ...]
+    labels: tuple[str, ...]
+    rows: Mapping[str, Any]
+    masks: Mapping[str, Any]
+    value: float
+    bound: float
+    gap: float
+    proven: bool
+    promises: tuple[Promise, ...]
+    seconds: float
+    candidates: int
+    remarks: tuple[str, ...] = ()
+
+    def u(self, name: str) -> float:
+        """The promised standard uncertainty (SI) of a quantity."""
+        for promise in self.promises:
+            if promise.name == name:
+                return promise.u_chosen
+        raise InputError(f"nothing was promised for '{name}'; there are {', '.join(p.name for p in self.promises)}")
+
+
+@dataclass(frozen=True)
+class Request:
+    """A request to choose, ready to be searched: candidates (one for each configuration), objective, limits."""
+
+    criterion: Any
+    configurations: tuple[Candidates, ...]
+    objective: Objective
+    limits: Limits
+    checked: Checked | None
+
+    @property
+    def candidates(self) -> Candidates:
+        """The candidates of the first configuration."""
+        return self.configurations[0]
+
+    def value(self, loss: float) -> float:
+        """The criterion itself from its loss."""
+        return float(np.exp(-loss if self.criterion.largest_is_best else loss))
+
+
+def select(fit: Linearisation, keep: int | None = None, criterion: Any = None, *, by: Any = None, always: Any = (),
+           costs: Mapping[str, float] | ArrayLike | None = None, budget: float | None = None,
+           at_most: Mapping[Any, int] | None = None, exclusive: Sequence[Sequence[Any]] = (),
+           floors: Floors | None = None, method: Method | None = None, report: Sequence[Any] = ()) -> Choice:
+    """Choose the observations that serve a criterion best, with a bound that no choice can beat.
+
+    fit: a linearisation (of a plan without readings, too); keep: how many candidates; criterion: D(), A(...), E(...),
+    G(...), I(...), C(...), Ds(...) or WorstCase(...) (D() if none); by: what makes a candidate: a row, a covariate
+    name (or names), "group", or {group: keys}; always: groups, or {group: rows}, kept in any case, as priors are;
+    costs, budget: of candidates {label: cost} or (n,); at_most: {covariate: k}; exclusive: sets of labels of which one
+    at most; floors: of reliability, which the bound leaves out; method: how to search; report: whose u is promised (the
+    criterion's own quantities, else those of the problem).
+    Uncertainty of held quantities is not part of a criterion, but of every promised u.
+    Raises InputError where the request cannot be met, with the nearest that can; RankDefect where nothing can be known.
+    """
+    request = requested(fit, keep, criterion, by=by, always=always, costs=costs, budget=budget, at_most=at_most,
+                        exclusive=exclusive, floors=floors)
+    begin = perf_counter()
+    if method is None:
+        method = Exhaustive() if subsets(request.limits, len(request.candidates)) <= FEW else Exchange()
+    chosen, bound, name = _searched(request, method)
+    loss = request.objective.loss(chosen) if chosen else np.inf
+    if not np.isfinite(loss):
+        raise _unknowable(request, chosen)
+    seconds = perf_counter() - begin
+    value, limit = request.value(loss), request.value(min(bound, loss))
+    gap = 1.0 - value / limit if request.criterion.largest_is_best else value / limit - 1.0
+    functions = fit.functions(*report) if report else request.criterion.asked(fit) or fit.functions()
+    return Choice(
+        criterion=request.criterion.name, method=name, keep=request.limits.keep, chosen=tuple(sorted(chosen)),
+        labels=tuple(request.candidates.labels[i] for i in sorted(chosen)), rows=request.candidates.rows_of(chosen),
+        masks=request.candidates.masks(chosen), value=value, bound=limit, gap=max(gap, 0.0),
+        proven=gap < 1e-6, promises=_promises(fit, request.candidates, chosen, functions), seconds=seconds,
+        candidates=len(request.candidates), remarks=tuple(_remarks(request)))
+
+
+def requested(fit: Linearisation, keep: int | None, criterion: Any, *, by: Any = None, always: Any = (),
+              costs: Any = None, budget: float | None = None, at_most: Mapping[Any, int] | None = None,
+              exclusive: Sequence[Sequence[Any]] = (), floors: Floors | None = None) -> Request:
+    """A request ready to be searched; arguments and errors as for `select`."""
+    criterion = D() if criterion is None else criterion
+    fits = (fit, *criterion.others) if isinstance(criterion, WorstCase) else (fit,)
+    configurations = tuple(candidates_of(one, by, always, criterion.asked(one)) for one in fits)
+    first = configurations[0]
+    for other in configurations[1:]:
+        if other.labels != first.labels:
+            raise InputError(f"{criterion.name}: the configurations have different candidates ({len(first)} and "
+                             f"{len(other)}); declare the same groups and rows in each")
+    terms = []
+    for one in configurations:
+        term = criterion.term(one)
+        terms.append(term)
+    limits = limits_of(first, keep, costs, budget, at_most, exclusive)
+    _refuse_too_few(criterion, configurations, limits)
+    checked = None if floors is None else Checked(first, floors)
+    return Request(criterion, configurations, Objective(tuple(terms)), limits, checked)
+
+
+def _refuse_too_few(criterion: Any, configurations: Sequence[Candidates], limits: Limits) -> None:
+    if criterion.asked(configurations[0].fit) is not None or limits.keep is None:
+        return
+    for candidates in configurations:
+        known = int(np.sum(np.linalg.eigvalsh(candidates.fixed) > 1e-9))
+        sees = np.sort(np.minimum(candidates.readings, candidates.rows.shape[1]))[::-1]
+        needed = int(np.searchsorted(np.cumsum(sees), candidates.rank - known) + 1) if candidates.rank > known else 0
+        if limits.keep < needed:
+            raise InputError(
+                f"keep = {limits.keep} candidates give {int(sees[: limits.keep].sum()) + known} readings and priors "
+                f"for {candidates.rank} unknowns; keep at least {needed}, hold unknowns or add priors")
+
+
+def _searched(request: Request, method: Method) -> tuple[list[int], float, str]:
+    """A choice, a loss that bounds every choice, and the words for how it was found."""
+    objective, limits, checked = request.objective, request.limits, request.checked
+    n = len(request.candidates)
+    if isinstance(method, Exhaustive):
+        count = subsets(limits, n)
+        if count > method.most:
+            raise InputError(f"{count:.3g} subsets are too many to look at each; use BranchAndBound() or Exchange()")
+        if checked is not None:
+            return _exhaustive_with_floors(request, checked)
+        found = exhaustive(objective, limits)
+        return found, objective.loss(found) if found else np.inf, method.name
+    chosen = greedy(objective, limits)
+    if not np.isfinite(objective.loss(chosen)):
+        chosen = exchange(objective, limits, chosen)
+    if not np.isfinite(objective.loss(chosen)):
+        return chosen, -np.inf, method.name
+    relaxed = _conic(request) if isinstance(method, Conic) else relax(objective, limits, request.candidates.indicator(
+        chosen))
+    bound, name = relaxed.bound, method.name
+    if isinstance(method, BranchAndBound):
+        chosen = begun(objective, limits, relaxed)
+        if checked is None:
+            searched = branch_and_bound(objective, limits, chosen, method.nodes, method.seconds, method.tolerance)
+            chosen, bound = searched.chosen, max(bound, searched.bound)
+            name = f"{method.name}, {searched.nodes} nodes"
+    elif isinstance(method, Exchange):
+        chosen = begun(objective, limits, relaxed)
+    elif isinstance(method, (Relaxation, Conic)):
+        chosen = _rounded(objective, limits, relaxed)
+    if checked is not None:
+        chosen = with_floors(objective, limits, checked, chosen)
+        name += ", floors by exchange"
+    return chosen, bound, name
+
+
+def _rounded(objective: Objective, limits: Limits, relaxed: Relaxed) -> list[int]:
+    taken = np.zeros(objective.count)
+    for i in np.argsort(-relaxed.weights):
+        taken[i] = 1.0
+        if not limits.allow(taken):
+            taken[i] = 0.0
+    return exchange(objective, limits, np.flatnonzero(taken).tolist())
+
+
+def _conic(request: Request) -> Relaxed:
+    from calib.analyse.selection.conic import conic
+
+    return conic(request.objective, request.limits)
+
+
+def _exhaustive_with_floors(request: Request, checked: Checked) -> tuple[list[int], float, str]:
+    blocks = list(enumerated(request.objective, request.limits))
+    closest: tuple[float, list[int]] = (np.inf, [])
+    ranked = sorted(((float(loss), block, row) for block, (_, losses) in enumerate(blocks)
+                     for row, loss in enumerate(losses) if np.isfinite(loss)))
+    for loss, block, row in ranked:
+        chosen = blocks[block][0][row].tolist()
+        excess = checked.margin(chosen).excess
+        if excess <= 0.0:
+            return chosen, loss, "exhaustive, with floors"
+        closest = min(closest, (excess, chosen))
+    if closest[1]:
+        raise InputError(refusal(request.limits, checked, closest[1]))
+    return [], np.inf, "exhaustive"
+
+
+def _unknowable(request: Request, chosen: Sequence[int]) -> RankDefect:
+    """The refusal where what is asked for cannot be known from any choice that was found."""
+    candidates, objective = request.candidates, request.objective
+    directions = candidates.unseen(chosen)
+    order = greedy(objective, Limits(np.ones((1, len(candidates))), np.array([float(len(candidates))]), ("all",),
+                                     len(candidates)))
+    enough = next((k for k in range(1, len(order) + 1) if np.isfinite(objective.loss(order[:k]))), None)
+    nearest = f"; keep {enough} or more" if enough and (request.limits.keep or 0) < enough else \
+        "; loosen the limits that keep the candidates apart"
+    words = "; ".join(directions[:3]) or "what is asked for is not seen"
+    return RankDefect(f"no choice of {request.limits.keep or 'these'} of {len(candidates)} candidates was found that "
+                      f"determines everything asked for: {words}{nearest}", directions=directions)
+
+
+def _promises(fit: Linearisation, candidates: Candidates, chosen: Sequence[int], functions: Any
+              ) -> tuple[Promise, ...]:
+    whole, some = covariance(fit, functions), reduced(fit, candidates.masks(chosen))
+    try:
+        u: Array = covariance(some, functions).u
+    except RankDefect:      # an unknown of a candidate that was not chosen
+        u = np.full(len(functions.labels), np.inf)
+        for k in range(len(u)):
+            one = type(functions)(functions.labels[k : k + 1], functions.units[k : k + 1], functions.values[k : k + 1],
+                                  functions.derivatives[k : k + 1])
+            try:
+                u[k] = covariance(some, one).u[0]
+            except RankDefect:
+                continue
+    return tuple(Promise(*each) for each in zip(functions.labels, functions.units, whole.u.tolist(), u.tolist(),
+                                                strict=True))
+
+
+def _remarks(request: Request) -> list[str]:
+    remarks = []
+    pairs = repeated(request.candidates)
+    if pairs:
+        first, second = (request.candidates.labels[i] for i in pairs[0])
+        remarks.append(f"{len(pairs)} candidates repeat others exactly ('{second}' repeats '{first}'): choosing both "
+                       "is measuring twice; name them in `exclusive` if that is not meant")
+    if request.checked is not None:
+        remarks.append("The bound leaves the floors out: it holds for every choice, also for those that break them.")
+    if not request.candidates.shared.all():
+        remarks.append(f"{int(np.sum(~request.candidates.shared))} unknowns belong to one candidate each and come and "
+                       "go with it; the criterion is about the others.")
+    return remarks
