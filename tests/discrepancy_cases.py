@@ -14,9 +14,11 @@ import numpy as np
 from calib import Problem, linearise, predict
 from calib.analyse.score import Candidate, candidates, field_of
 from calib.workflow.discrepancy.readings import Channel, channels, row_numbers
-from tests.discrepancy_designs import DESIGNS, Design
+from discrepancy_designs import DESIGNS, Design
 
 SEEN = 0.05  # share of a signal that the unknowns must leave for an effect to be hidden in a case
+APART = 0.5  # share of its signal that an effect must keep beside the others of its case
+FEWEST = 28  # rows of a case
 SHAPES = ("triangle", "fourth", "fifth", "bump", "product", "wave in time", "saturating", "growing hysteresis")
 NOISES = ("larger", "smaller", "channel", "block", "heavy", "serial")
 
@@ -77,6 +79,14 @@ def stage(design: Design) -> _Stage:
                   row_numbers(fit), u)
 
 
+def _design(scenario: str, g: np.random.Generator) -> Design:
+    """A design with enough readings for an effect of the size of the noise to be seen at all."""
+    while True:
+        design = DESIGNS[scenario](g)
+        if sum(mask.size for mask in design.check.values()) >= FEWEST:
+            return design
+
+
 def _net(signal: np.ndarray, raw: np.ndarray) -> float:
     touched = np.abs(raw) > 1e-9 * np.max(np.abs(raw), initial=1e-300)
     return float(np.sqrt(signal @ signal / max(int(touched.sum()), 1)))
@@ -85,7 +95,7 @@ def _net(signal: np.ndarray, raw: np.ndarray) -> float:
 def hide_effects(scenario: str, seed: int, count: int, size: float) -> Case:
     """A case with `count` effects of one size (count 0: clean)."""
     g = np.random.default_rng([seed, 77])
-    here = stage(DESIGNS[scenario](g))
+    here = stage(_design(scenario, g))
     effects: dict[tuple[str, str], np.ndarray] = {}
     labels, truth = [], dict(here.design.truth)
     visible = [i for i in g.permutation(len(here.chosen))
@@ -93,8 +103,15 @@ def hide_effects(scenario: str, seed: int, count: int, size: float) -> Case:
     # By name first, so that a family of thirty straightnesses does not crowd out the rest.
     names = list(g.permutation(sorted({here.chosen[i].effect.name for i in visible})))
     stored: dict = {}
-    for name in names[:count]:
+    taken = np.zeros((len(here.numbers), 0))
+    for name in names:
+        if len(effects) == count:
+            break
         i = next(j for j in visible if here.chosen[j].effect.name == name)
+        alone = np.linalg.qr(here.signals[i])[0]
+        if np.linalg.norm(taken.T @ alone, 2) > np.sqrt(1 - APART**2) if taken.size else False:
+            continue
+        taken = np.linalg.qr(np.concatenate([taken, here.signals[i]], axis=1))[0]
         one = here.chosen[i]
         direction = g.normal(size=len(one.columns)) / np.maximum(np.linalg.norm(here.whole[i], axis=0), 1e-300)
         if one.effect.parameters[0].lower == 0.0:
@@ -116,7 +133,7 @@ def hide_effects(scenario: str, seed: int, count: int, size: float) -> Case:
 def hide_structure(scenario: str, seed: int, size: float) -> Case:
     """A case with a structure in one channel that no effect and no sum of three explains."""
     g = np.random.default_rng([seed, 78])
-    here = stage(DESIGNS[scenario](g))
+    here = stage(_design(scenario, g))
     basis = np.linalg.qr(np.concatenate([here.basis, *here.whole], axis=1) if len(here.chosen) < 30 else here.basis)[0]
     for _ in range(40):
         channel = here.channels[g.integers(len(here.channels))]
@@ -168,7 +185,7 @@ def _shape(g: np.random.Generator, shape: str, channel: Channel) -> np.ndarray |
 def hide_noise(scenario: str, seed: int, kind: str) -> Case:
     """A clean case with peculiar noise: larger, smaller, uneven by channel or block, heavy tails, serial."""
     g = np.random.default_rng([seed, 79])
-    here = stage(DESIGNS[scenario](g))
+    here = stage(_design(scenario, g))
     noise = g.standard_normal(len(here.numbers))
     if kind == "larger":
         noise *= g.uniform(1.5, 3)
@@ -199,7 +216,7 @@ def hide_noise(scenario: str, seed: int, kind: str) -> Case:
 def hide_blunders(scenario: str, seed: int, size: float) -> Case:
     """A clean case with one to three blunders of at least the given size."""
     g = np.random.default_rng([seed, 80])
-    here = stage(DESIGNS[scenario](g))
+    here = stage(_design(scenario, g))
     noise = g.standard_normal(len(here.numbers))
     redundancy = 1 - np.sum(here.basis**2, axis=1)
     places = g.choice(np.flatnonzero(redundancy > 0.3), g.integers(1, 4), replace=False)

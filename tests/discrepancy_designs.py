@@ -232,18 +232,18 @@ def locators(g: Generator, poses: int | None = None) -> Design:
     axes, targets = laid(keys, 0, np.zeros(3), 1.0), laid(names, 3, 15.0 * np.arange(1, len(names) + 1), 0.0)
 
     def build(readings: Any) -> Problem:
-        first, second = axes, targets
-        if readings is not None:
-            travel = np.zeros((len(axes.rows), 3))
-            for k in keys:
-                travel[axes.item == k] = readings[axis_group(k)]
-            first, second = replace(axes, values=travel), replace(targets, values=readings[TARGETS])
+        travel = np.zeros((len(axes.rows), 3))
+        for k in keys:
+            travel[axes.item == k] = readings[axis_group(k)]
+        first, second = replace(axes, values=travel), replace(targets, values=readings[TARGETS])
         return declare_locators(setup, first, second, u_axis=8 * um, u_tracker=[6 * um, 0.8 * arcsec, 1.0 * arcsec])
 
     truth = {"part": list(part), "tracker": frame}
     # Errors are taken at the travel that is read, so travels come first, then the model with its starts at them.
-    nominal = predict(build(None), truth)
-    problem_at = build(nominal)
+    travels = predict(declare_locators(setup, axes, None, u_axis=8 * um), {"part": list(part)})
+    points = np.array([frame @ (part[i - 1] @ np.array(setup.targets[k]))
+                       for i, k in zip(targets.pose, targets.item, strict=True)], float)
+    problem_at = build({**travels, TARGETS: laser_tracker.polar_readings(points.reshape(-1, 3))})
     check = {o.group: np.isin(o.covariates["split"], "check") for o in problem_at.observations}
     return Design("locator_pose", lambda readings: problem_at if readings is None else build(readings), truth, check)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,11 +11,10 @@ from calib import catalogue, files
 from calib.cli.output import DONE, Output, job_argument, output_options, problem_file_option, typed
 from calib.job import Job
 from calib.report import numbers
-from calib.workflow.discrepancy.answer import answer, in_case_units
-from calib.workflow.discrepancy.conclusion import Explanation
-from calib.workflow.discrepancy.explain import explain
-from calib.workflow.discrepancy.split import held_out_rows
 from calib.workflow.solution import declared
+
+if TYPE_CHECKING:
+    from calib.workflow.discrepancy.conclusion import Explanation
 
 
 @click.command()
@@ -28,6 +28,10 @@ def discover(job: Path, level: float, problem_file: Path | None, output: Output)
 
     With --out: answer.json and report.html.
     """
+    from calib.workflow.discrepancy.answer import answer
+    from calib.workflow.discrepancy.explain import explain
+    from calib.workflow.discrepancy.split import held_out_rows
+
     read = Job.read(job)
     problem = declared(read, catalogue.module(read.problem, problem_file))
     check, remark = held_out_rows(read, problem)
@@ -50,11 +54,13 @@ def discover(job: Path, level: float, problem_file: Path | None, output: Output)
 
 
 def _name(job: Job) -> str:
-    return job.path.resolve().parent.name if job.path.name == "case.toml" else job.path.stem
+    return job.settings.text("case") if job.path.name == "case.toml" else job.path.stem
 
 
 def say(output: Output, found: Explanation) -> None:
     """The finding for people: the sentence, the effects with U (k = 2), what cannot be told apart, what to measure."""
+    from calib.workflow.discrepancy.answer import in_case_units
+
     output.prose(found.sentence)
     for one in found.effects:
         for name, (value, u, unit) in in_case_units(one).items():

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RANKED = 14  # candidates in the ranking
-DRAWN = 3  # channels whose residuals are drawn
+DRAWN = 2  # channels whose residuals are drawn
 
 
 def write(case: str, found: Explanation, provenance: Provenance, path: str | Path) -> Path:
@@ -122,14 +122,16 @@ def _before_and_after(one: Picture) -> Figure:
             chosen = one.keys == key
             ax.scatter(one.x[chosen], residual[chosen], s=14, linewidths=0, alpha=0.85,
                        color=plots.SERIES[number % len(plots.SERIES)], label=str(key))
-        ax.set_title(title)
+        ax.set_title(title, loc="left")
         ax.set_xlabel(one.label)
     axes[0].set_ylabel("residual / u")
     reach = 1.08 * max(3.0, float(np.max(np.abs(one.before))))
     for ax in axes:
         ax.set_ylim(-reach, reach)
     if 1 < len(set(one.keys.tolist())) <= 4:
-        axes[0].legend(frameon=False, labelcolor=plots.INK, fontsize=8, title=one.key_label)
+        named = [f"{one.key_label.replace('_', ' ')} {key}" for key in dict.fromkeys(one.keys.tolist())]
+        axes[1].legend(named, frameon=False, labelcolor=plots.INK, fontsize=8, ncols=4, loc="lower right",
+                       bbox_to_anchor=(1, 1), borderaxespad=0)
     return figure
 
 

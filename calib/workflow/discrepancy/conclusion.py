@@ -19,7 +19,7 @@ from calib.workflow.discrepancy.noise import NoiseTest, size_test
 from calib.workflow.discrepancy.rivals import Noise
 from calib.workflow.discrepancy.scene import Scene
 from calib.workflow.discrepancy.search import Finding
-from calib.workflow.discrepancy.structure import Place, Screen, patterns
+from calib.workflow.discrepancy.structure import Place, Screen
 from calib.workflow.discrepancy.words import plausibility, remarks_on, sentence
 
 MANY = 8  # places named under `where`
@@ -100,12 +100,12 @@ def conclude(
     judged: Judgement,
     check: Mapping[str, NDArray[np.bool_]] | None,
     remarks: tuple[str, ...],
-    seed: int,
+    screen: Screen,
 ) -> Explanation:
     """Put a judgement into an Explanation.
 
     problem; before, estimate: solved without and with what was named; nominal, scene: linearised there; check: held-out
-    rows; remarks: to pass on; seed: of simulated looks.
+    rows; remarks: to pass on; screen: of the nominal model's residuals for patterns.
     """
     verdict = judged.verdict
     after = estimate if verdict in ("effects", "outliers") else before
@@ -114,8 +114,7 @@ def conclude(
     if verdict == "effects":
         effects, advice = _named(scene, judged.finding, judged.named, after)
     rows = judged.outliers if verdict in ("effects", "outliers") else ()
-    looks = Screen(nominal.field, patterns(nominal.channels), seed).places()
-    where = tuple(p for p in looks[:MANY] if p.p_value < 0.01)
+    where = tuple(p for p in screen.places()[:MANY] if p.p_value < 0.01)
     p_value = min([size_test(nominal.field).p_value, *(p.p_value for p in where), *(e.p_value for e in effects)])
     rms = (_spread(before), _spread(after))
     held = None

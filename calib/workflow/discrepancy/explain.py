@@ -18,7 +18,7 @@ from calib.workflow.discrepancy.readings import row_numbers
 from calib.workflow.discrepancy.rivals import HEAVY, SCALED, SERIAL, STATED, UNEVEN, Noise, accounts
 from calib.workflow.discrepancy.scene import Scene, scene_of
 from calib.workflow.discrepancy.search import Finding, Shares, corrected, search
-from calib.workflow.discrepancy.structure import Pattern, Place, described, patterns
+from calib.workflow.discrepancy.structure import Pattern, Place, Screen, described, patterns
 
 ROUNDS = 4  # of naming and refitting, so that a curved model is judged where it is
 MOST_NAMED = 3  # effects up to which a sum of them is an answer; more is structure without a name
@@ -58,9 +58,9 @@ def explain(
             "what it lacks. Give start values nearer to the truth, or look for gross errors in rows and units."
         )
     nominal = scene_of(problem, before, ())
+    screen = Screen(nominal.field, patterns(nominal.channels), seed)
     scene, finding, named, outliers, estimate = _settled(problem, before, nominal, level, seed, shares)
-    shapes = patterns(scene.channels)
-    best = _best_account(scene, finding, shapes, level, seed, shares)
+    best = _best_account(scene, finding, screen, level, seed, shares, scene is nominal)
     chosen, rows = _names(scene, best.finding)
     if [c.label for c in chosen] != [c.label for c in named] or rows != outliers:
         named, outliers = chosen, rows
@@ -72,7 +72,7 @@ def explain(
         noise = (NoiseTest(best.noise.kind, best.noise.where, best.noise.correlation, level),)
     verdict = _verdict(best, named, outliers, noise, scene)
     judged = Judgement(verdict, best.finding, named, outliers, best.structure, noise, best.noise)
-    return conclude(problem, before, estimate, nominal, scene, judged, check, tuple(remarks), seed)
+    return conclude(problem, before, estimate, nominal, scene, judged, check, tuple(remarks), screen)
 
 
 def _settled(
@@ -109,15 +109,23 @@ def _refit(problem: Problem, named: Sequence[Candidate], outliers: Sequence[int]
 
 
 def _best_account(
-    scene: Scene, finding: Finding, shapes: Sequence[Pattern], level: float, seed: int, shares: Shares
+    scene: Scene, finding: Finding, screen: Screen, level: float, seed: int, shares: Shares, at_nominal: bool
 ) -> _Account:
     """The account of the readings with the best score, among effects, blunders, structure and kinds of noise."""
-    nothing = _nothing(scene, finding)
-    plain = accounts(nothing.left, scene.channels)
-    mine = accounts(finding.left, scene.channels)
-    cost = _price(scene, finding)
-    pool = [_Account(nothing, (), one, one.score) for one in plain]
+    nothing = _nothing(scene)
+    described_ones = []
+    for base in (finding, nothing) if finding.effects else (nothing,):
+        first = screen if at_nominal and base is nothing else None
+        whole = _with_structure(scene, base, screen.shapes, level * shares.structure, seed, first)
+        if whole is not None:
+            described_ones.append(whole)
+    if not (finding.effects or finding.blunders or described_ones):
+        # Nothing is significant: what the noise is, is for its own tests.
+        return _Account(nothing, (), Noise(STATED, 0.0, np.ones(len(scene.residual))), 0.0)
+    plain, mine = accounts(nothing.left, scene.channels), accounts(finding.left, scene.channels)
+    pool = [_Account(nothing, (), one, one.score) for one in plain] + described_ones
     if finding.effects or finding.blunders:
+        cost = _price(scene, finding)
         pool += [_Account(finding, (), one, one.score + cost) for one in mine if one.kind in (STATED, SCALED)]
     for source in (plain, mine):
         for noise in source:
@@ -128,12 +136,6 @@ def _best_account(
                 score = _score_through(scene, again, noise) + _price(scene, again) + ADVANTAGE
                 pool.append(_Account(again, (), noise, score))
             break  # the best account of peculiar noise is enough to judge by
-    for base in (finding, nothing) if finding.effects else (nothing,):
-        whole = _with_structure(scene, base, shapes, level * shares.structure, seed)
-        if whole is not None:
-            pool.append(whole)
-    if len(pool) == len(plain):  # nothing is significant: what the noise is, is for its own tests
-        return next(a for a in pool if a.noise.kind == STATED)
     best = min(pool, key=lambda a: a.score)
     with_same = [a for a in pool if a.structure and a.finding is best.finding]
     if best.finding.effects and with_same and best.noise.kind in (STATED, SCALED):
@@ -146,7 +148,7 @@ def _white(source: Sequence[Noise]) -> float:
     return min(one.score for one in source if one.kind in (STATED, SCALED))
 
 
-def _nothing(scene: Scene, finding: Finding) -> Finding:
+def _nothing(scene: Scene) -> Finding:
     from calib.workflow.discrepancy.search import noise_scale
 
     return Finding((), (), (), (), noise_scale(scene.field), replace(scene.field, signals=(), sizes=()))
@@ -178,10 +180,10 @@ def _score_through(scene: Scene, finding: Finding, noise: Noise) -> float:
 
 
 def _with_structure(
-    scene: Scene, base: Finding, shapes: Sequence[Pattern], level: float, seed: int
+    scene: Scene, base: Finding, shapes: Sequence[Pattern], level: float, seed: int, first: Screen | None
 ) -> _Account | None:
     bare: Field = replace(base.left, signals=(), sizes=())
-    found, left, looks = described(bare, shapes, level, seed)
+    found, left, looks = described(bare, shapes, level, seed, first)
     if not found:
         return None
     noise = min((a for a in accounts(left, scene.channels) if a.kind in (STATED, SCALED)), key=lambda a: a.score)

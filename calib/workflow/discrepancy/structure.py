@@ -188,15 +188,19 @@ class Screen:
         return pattern, one
 
 
-def described(field: Field, shapes: Sequence[Pattern], level: float, seed: int) -> tuple[list[Place], Field, int]:
+def described(
+    field: Field, shapes: Sequence[Pattern], level: float, seed: int, first: Screen | None = None
+) -> tuple[list[Place], Field, int]:
     """Describe what is left over by patterns, one after another, as long as one is significant.
 
+    first: the screen of this field where it is there already.
     Returns the patterns, the field without them, and how many looks one of them was chosen from.
     """
     found: list[Place] = []
     looks = 1
     for _ in range(MOST):
-        screen = Screen(field, shapes, seed)
+        screen = Screen(field, shapes, seed) if first is None else first
+        first = None
         looks = max(looks, len(screen.shapes))
         best = screen.best()
         if best is None or best[1].p_value > level:
