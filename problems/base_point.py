@@ -35,8 +35,9 @@ from calib.geometry import dot, norm
 from calib.job import Job
 from calib.units import mm, nm, um
 from calib.unknown import Selection
+from calib.workflow.compare.formulation import Formulation
 from instruments import coordinate_machine, interferometer
-from problems import algebraic_base_point, base_point_lines
+from problems import algebraic_base_point, base_point_bound, base_point_lines
 from problems.base_point_lines import Lines
 
 Array = NDArray[np.float64]
@@ -316,14 +317,14 @@ def _zeros(job: Job) -> dict[str, Zero]:
             "absolute": AbsoluteRange()}
 
 
-def formulations(job: Job) -> dict[str, Problem]:
+def formulations(job: Job) -> dict[str, Formulation]:
     """Other ways to put the same readings: start free or tied, and, for one tracker, the linear difference of squares.
 
     The linear one leaves out that its bracket is |B|^2 - L0^2, and takes the readings on its left side as exact; a
-    coordinate in which the targets do not differ is held at zero there.
+    coordinate in which the targets do not differ is held at zero there. The global one proves a bound.
     """
     problem = from_job(job)
-    found = {"start free": problem}
+    found: dict[str, Formulation] = {"start free": problem}
     if "lines" in job.known:
         lines, sense = base_point_lines.of_case(job), LENGTHENING
     else:
@@ -332,7 +333,7 @@ def formulations(job: Job) -> dict[str, Problem]:
                  if name != "absolute"}
     if len(np.unique(lines.tracker)) == len(np.unique(lines.zeroing)) == 1:
         found["difference of squares"] = linear(lines, sense, problem)
-    return found
+    return {**found, "global bound": base_point_bound.of_readings(lines, sense)}
 
 
 def linear(lines: Lines, sense: float, about: Problem) -> Problem:

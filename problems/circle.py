@@ -31,12 +31,13 @@ from calib import (
 from calib.geometry import cross, dot, unit
 from calib.units import arcsec, degree, hour, minute, mm, um
 from instruments import influence, laser_tracker
-from problems import algebraic_circle, pairwise_circle
+from problems import algebraic_circle, circle_formulations
 from problems.algebraic_circle import SpaceCircle
 
 if TYPE_CHECKING:
     from calib.job import Job
     from calib.settings import Settings
+    from calib.workflow.compare.formulation import Formulation
 
 Array = NDArray[np.float64]
 AXIS = "ISO 230-7:2015, error motions of an axis of rotation"
@@ -150,19 +151,13 @@ def from_job(job: Job) -> Problem:
     return declare(points, u, command, rows=table.row_numbers, covariates=covariates)
 
 
-def formulations(job: Job) -> dict[str, Problem]:
-    """The objectives of the paper beside the orthogonal distance, for the points of a job.
+def formulations(job: Job) -> dict[str, Formulation]:
+    """The objectives of the paper, algebraic fits and a bound beside the orthogonal distance, for the points of a job.
 
-    Weights by equations 9 to 13, from the stated covariance of each point. The u of these objectives are counts and
-    weights, not uncertainties of readings.
+    Weights by equations 9 to 13, from the stated covariance of each point.
     """
-    problem = from_job(job)
-    seen = problem.observations[0]
-    points = np.asarray(seen.readings)
-    weight = pairwise_circle.weights(seen.uncertainty.weighting(seen.n, 3, "points").u)
-    return {"orthogonal distance": problem, "equation 8": pairwise_circle.pairwise(points),
-            "equation 14": pairwise_circle.weighted_pairwise(points, weight),
-            "equation 14 repaired": pairwise_circle.repaired_pairwise(points, weight)}
+    table = job.table("points")
+    return circle_formulations.formulations(table.number("command", "angle") if table.has("command") else None)
 
 
 def stated_by_tracker(instrument: Settings, polar: Array) -> Array:
