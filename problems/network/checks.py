@@ -39,13 +39,17 @@ def checked(survey: Survey) -> Survey:
 
 
 def _readings_of(survey: Survey) -> dict[str, int]:
-    """Number of scalar readings that see each point."""
+    """Number of scalar readings that see each point; the first direction of a setting goes into its orientation."""
     count: dict[str, int] = {}
     for batch in survey.every_batch:
         dim = len(batch.model.components)
         for keys in batch.ends:
             for key, times in zip(*np.unique(keys, return_counts=True), strict=True):
                 count[str(key)] = count.get(str(key), 0) + int(times) * dim
+        if batch.kind == "direction":
+            settings = np.asarray(batch.orientation).astype(str).tolist()
+            for station in dict(zip(settings, batch.ends[0].tolist(), strict=True)).values():
+                count[station] -= 1
     return count
 
 
@@ -56,8 +60,8 @@ def _enough(survey: Survey) -> None:
         free = [part for part in parts if point.role(part) in (ADJUSTED, CONSTRAINED)]
         if count < len(free):
             raise InputError(f"point '{key}' has {len(free)} unknown coordinates ({', '.join(free)}) and {count} "
-                             f"reading{'' if count == 1 else 's'}; it lacks {len(free) - count}: read it from another "
-                             "station, or give its coordinates")
+                             f"reading{'' if count == 1 else 's'} for them; it lacks {len(free) - count}: read it from "
+                             "another station, or give its coordinates")
 
 
 def _joined(survey: Survey) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,8 @@ class Frame:
     """Positions {key: complex} in one frame; guessed: points of which the mirrored position fits as well."""
 
     def __init__(self, drawn: Sketch, placed: dict[str, complex], free_scale: bool = False):
+        if free_scale:                # lengths do not hold in a frame whose scale is nobody's
+            drawn = replace(drawn, lengths={}, vectors={})
         self.drawn, self.placed, self.free_scale = drawn, placed, free_scale
         self.guessed: set[str] = set()
 
