@@ -9,11 +9,13 @@ from collections.abc import Sequence
 import click
 
 from calib.catalogue import check_companions
+from calib.cli.compare import compare
 from calib.cli.discover import discover
 from calib.cli.lists import effects, example, problems
 from calib.cli.montecarlo import montecarlo
 from calib.cli.output import FAILED, INPUT, STOPPED
 from calib.cli.reproduce import reproduce
+from calib.cli.select import choose
 from calib.cli.simulate import simulate
 from calib.cli.solve import solve
 from calib.errors import CalibrationError
@@ -29,7 +31,7 @@ def calib() -> None:
     """
 
 
-for command in (reproduce, solve, discover, montecarlo, simulate, example, problems, effects):
+for command in (reproduce, solve, compare, discover, montecarlo, simulate, example, problems, effects, choose):
     calib.add_command(command)
 
 
