@@ -7,6 +7,9 @@ import numpy as np
 from calib.errors import InputError
 from problems.network.survey import Survey
 
+ATTEMPTS = 30       # placements that are tried where the first ones do not fit
+GOOD = 2e-3         # misfit of the ranges, relative to their mean, that a right placement reaches
+
 
 def scaled(survey: Survey, known: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Positions (3,) of all points that ranges join, laid onto those that are known.
@@ -37,12 +40,35 @@ def scaled(survey: Survey, known: dict[str, np.ndarray]) -> dict[str, np.ndarray
         alone = [k for k, far in zip(keys, np.isinf(whole[0]), strict=True) if far]
         raise InputError(f"no chain of ranges joins {', '.join(repr(k) for k in alone[:5])} to '{keys[0]}'; add ranges "
                          "between the two parts")
-    found = _majorised(_classical(whole, dim), i, j, read)
+    found = _fitted(whole, dim, i, j, read)
     anchors = [place[k] for k in fixed]
     if anchors:
         found = _laid(found, anchors, np.array([known[k][:dim] for k in fixed]))
     return {k: np.concatenate([p, [np.nan] * (3 - dim)]) if k not in fixed else known[k]
             for k, p in zip(keys, found, strict=True)}
+
+
+def _fitted(whole: np.ndarray, dim: int, i: np.ndarray, j: np.ndarray, read: np.ndarray) -> np.ndarray:
+    """The placement that misses the ranges least, of the scaled one and of others where that is caught in a fold.
+
+    A figure folded over in its own space can unfold in a space of more dimensions, and is flattened again.
+    """
+    generator = np.random.default_rng(0)             # further attempts, the same every time
+    best, smallest = np.zeros((len(whole), dim)), np.inf
+    for attempt in range(ATTEMPTS):
+        size = dim + (attempt % 3)
+        start = _classical(whole, min(size, len(whole) - 1))
+        if attempt > 2:
+            start = start + generator.normal(scale=0.3 * float(read.mean()), size=start.shape)
+        unfolded = _majorised(start, i, j, read)
+        axes = np.linalg.svd(unfolded - unfolded.mean(axis=0), full_matrices=False)[2][:dim]
+        place = _majorised(unfolded @ axes.T, i, j, read)
+        miss = float(np.sqrt(np.mean((np.linalg.norm(place[i] - place[j], axis=1) - read) ** 2)) / read.mean())
+        if miss < smallest:
+            best, smallest = place, miss
+        if smallest < GOOD:
+            break
+    return best
 
 
 def _classical(distances: np.ndarray, dim: int) -> np.ndarray:
