@@ -91,9 +91,9 @@ class Candidates:
 def candidates_of(fit: Linearisation, by: Any = None, always: Any = (), asked: Functions | None = None) -> Candidates:
     """Group the observations of a linearisation into candidates.
 
-    by: None for a candidate each row, the name of a covariate (or names), "group", or {group: (n,) keys}; always:
-    names of groups, or {group: row numbers}, that are there in any case (as priors are); asked: functions that must
-    stay visible.
+    by: None for a candidate each row, "row" where rows of one number belong together, the name of a covariate (or
+    names), "group", or {group: (n,) keys}; always: names of groups, or {group: row numbers}, that are there in any
+    case (as priors are); asked: functions that must stay visible.
     Raises InputError where the grouping does not fit, RankDefect where all candidates together see nothing of the
     unknowns.
     """
@@ -158,8 +158,8 @@ def _grouping(fit: Linearisation, by: Any, fixed: Mapping[str, NDArray[np.bool_]
                     places[keys[row]] = len(labels)
                     labels.append(texts[row])
                 elif by is None:
-                    raise InputError(f"{texts[row]} stands twice among the candidates; give each row its own number, "
-                                     "or group rows that belong together with `by`")
+                    raise InputError(f"{texts[row]} stands twice among the candidates; group rows of one number "
+                                     "into one candidate with by=\"row\", or give each its own number")
                 numbers[row] = places[keys[row]]
         members[group.name] = numbers
     return members, labels
@@ -186,7 +186,7 @@ def _keys(fit: Linearisation, group: Any, by: Any, explicit: Mapping[str, NDArra
           ) -> tuple[list[Any], list[str]]:
     """A key and a label for each row of a group."""
     n = len(group.rows)
-    if by is None:
+    if by is None or (by == "row" and "row" not in group.covariates):
         return [(group.name, int(r)) for r in group.rows], [f"{group.name} row {r}" for r in group.rows]
     if explicit is not None:
         if group.name not in explicit or len(explicit[group.name]) != n:

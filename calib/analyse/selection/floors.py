@@ -20,6 +20,7 @@ from calib.analyse.selection.objective import Objective
 from calib.blocks import Array
 from calib.errors import InputError
 
+STARTS = 12      # one from the best choice without floors, the others from anywhere
 TRIED = 60      # candidates tried in place of each chosen one, where there are more
 
 
@@ -47,9 +48,11 @@ class Floors:
 
 @dataclass(frozen=True)
 class Margin:
-    """How a choice stands to the floors: excess (positive where one is broken), and the worst reading in words."""
+    """How a choice stands to the floors: excess (positive where one is broken) of the worst reading, sum of the squares
+    of all that is broken, and the worst reading in words."""
 
     excess: float
+    broken: float
     words: str
 
 
@@ -91,14 +94,52 @@ class Checked:
             self.influence = np.concatenate([self.influence, candidates.functions(functions) * scale[:, None]])
             self.limit = np.append(self.limit, np.full(len(functions.labels), limit))
 
-    def margin(self, chosen: Sequence[int]) -> Margin:
-        """How a choice stands."""
+    def possible(self) -> list[int]:
+        """Candidates that some choice could keep: their redundancy and detectable biases are best where all else that
+        can be kept is kept, so what fails then is out, again and again until nothing fails."""
+        left = np.ones(len(self.candidates), dtype=bool)
+        while left.any():
+            kept, redundancy = self._redundancy(np.flatnonzero(left))
+            mdb = self.bias / np.sqrt(np.maximum(redundancy, 1e-12)) * self.u[kept]
+            fails = (redundancy < self.floors.redundancy) | (mdb > self.mdb[kept])
+            gone = np.unique(self.owner[kept][fails])
+            gone = gone[gone >= 0]
+            if not gone.size:
+                break
+            left[gone] = False
+        return np.flatnonzero(left).tolist()
+
+    def reachable(self, keep: int) -> float:
+        """A least redundancy that no choice of `keep` candidates or more exceeds."""
+        left, best = np.ones(len(self.candidates), dtype=bool), 0.0
+        while left.sum() >= keep:
+            kept, redundancy = self._redundancy(np.flatnonzero(left))
+            worst = int(np.argmin(redundancy))
+            best = max(best, float(redundancy[worst]))
+            owner = self.owner[kept][worst]
+            if owner < 0:
+                break
+            left[owner] = False
+        return best
+
+    def _redundancy(self, chosen: Sequence[int]) -> tuple[Array, Array]:
+        """Which readings are kept, and their redundancy numbers (zero where the unknowns are not determined)."""
         kept = np.isin(self.owner, [*chosen, -1])
         information = self.candidates.information(self.candidates.indicator(chosen))
         try:
             root = np.linalg.inv(np.linalg.cholesky(information)).T
         except np.linalg.LinAlgError:
-            return Margin(np.inf, "the unknowns are not determined")
+            return kept, np.zeros(int(kept.sum()))
+        return kept, np.maximum(1.0 - np.sum((self.rows[kept] @ root) ** 2, axis=1), 0.0)
+
+    def margin(self, chosen: Sequence[int]) -> Margin:
+        """How a choice stands."""
+        kept = self.candidates.indicator([*chosen])[self.owner] + (self.owner < 0) > 0.5
+        information = self.candidates.information(self.candidates.indicator(chosen))
+        try:
+            root = np.linalg.inv(np.linalg.cholesky(information)).T
+        except np.linalg.LinAlgError:
+            return Margin(np.inf, np.inf, "the unknowns are not determined")
         seen = self.rows[kept] @ root
         redundancy = np.maximum(1.0 - np.sum(seen**2, axis=1), 0.0)
         factor = self.bias / np.sqrt(np.maximum(redundancy, 1e-12))
@@ -115,7 +156,8 @@ class Checked:
         worst = max(parts, key=lambda part: float(part[0].max()))
         place = int(np.argmax(worst[0]))
         label = self.labels[int(np.flatnonzero(kept)[place])]
-        return Margin(float(worst[0][place]), f"{label}: {worst[1].format(worst[2][place])}")
+        broken = float(sum(np.sum(np.maximum(part[0], 0.0) ** 2) for part in parts))
+        return Margin(float(worst[0][place]), broken, f"{label}: {worst[1].format(worst[2][place])}")
 
 
 def with_floors(objective: Objective, limits: Limits, checked: Checked, chosen: Sequence[int], passes: int = 50
@@ -124,11 +166,34 @@ def with_floors(objective: Objective, limits: Limits, checked: Checked, chosen: 
 
     Raises InputError where no swap leads to a choice that meets them, naming what is out of reach.
     """
+    possible = np.isin(np.arange(objective.count), checked.possible())
+    generator = np.random.default_rng(STARTS)
+    best, least = list(chosen), np.inf
+    for begin in range(STARTS):
+        start = _begun(objective, limits, checked, chosen) if begin == 0 else _anywhere(limits, possible, generator)
+        found, now = _exchanged(objective, limits, checked, start, possible, passes)
+        if now < least:
+            best, least = found, now
+        if now == 0.0:
+            return found
+    raise InputError(refusal(limits, checked, best))
+
+
+def _anywhere(limits: Limits, possible: Array, generator: np.random.Generator) -> list[int]:
+    taken = np.zeros(len(possible))
+    for i in generator.permutation(np.flatnonzero(possible)):
+        taken[i] = float(np.all(limits.matrix @ taken + limits.matrix[:, i] <= limits.most + 1e-9))
+    return np.flatnonzero(taken).tolist()
+
+
+def _exchanged(objective: Objective, limits: Limits, checked: Checked, chosen: Sequence[int], possible: Array,
+               passes: int) -> tuple[list[int], float]:
+    """Swaps that first mend what is broken, then help the criterion; the choice, and what is still broken."""
     weights = checked.candidates.indicator(chosen)
 
     def rank(trial: Array) -> tuple[float, float]:
         taken = np.flatnonzero(trial).tolist()
-        return max(checked.margin(taken).excess, 0.0), objective.loss(taken)
+        return checked.margin(taken).broken, objective.loss(taken)
 
     now = rank(weights)
     for _ in range(passes):
@@ -136,25 +201,37 @@ def with_floors(objective: Objective, limits: Limits, checked: Checked, chosen: 
         for i in np.flatnonzero(weights):
             weights[i] = 0.0
             best, best_j = now, i
-            for j in _tried(objective, limits, weights):
+            for j in _tried(objective, limits, weights, possible):
                 weights[j] = 1.0
                 found = rank(weights)
-                if found[0] < best[0] - 1e-12 or (found[0] <= best[0] + 1e-12 and found[1] < best[1] - 1e-9):
+                if found[0] < best[0] - 1e-15 or (found[0] <= best[0] and found[1] < best[1] - 1e-9):
                     best, best_j = found, j
                 weights[j] = 0.0
             weights[best_j], now = 1.0, best
         if now == before:
             break
-    chosen = np.flatnonzero(weights).tolist()
-    if now[0] > 0.0:
+    return np.flatnonzero(weights).tolist(), now[0]
+
+
+def _begun(objective: Objective, limits: Limits, checked: Checked, chosen: Sequence[int]) -> Sequence[int]:
+    """The choice itself where it can stay; otherwise a greedy one of the candidates that can be kept at all."""
+    from calib.analyse.selection.exchange import exchange
+    from calib.analyse.selection.greedy import greedy
+
+    possible = np.isin(np.arange(objective.count), checked.possible())
+    if limits.keep is not None and possible.sum() < limits.keep:
         raise InputError(refusal(limits, checked, chosen))
-    return chosen
+    if possible[list(chosen)].all():
+        return chosen
+    barred = Limits(np.vstack([limits.matrix, ~possible]), np.append(limits.most, 0.0),
+                    (*limits.words, "what can never meet the floors"), limits.keep)
+    return exchange(objective, barred, greedy(objective, barred))
 
 
-def _tried(objective: Objective, limits: Limits, weights: Array) -> Array:
+def _tried(objective: Objective, limits: Limits, weights: Array, possible: Array) -> Array:
     from calib.analyse.selection.greedy import regularised
 
-    among = np.flatnonzero(limits.room(limits.matrix @ weights) & (weights == 0))
+    among = np.flatnonzero(limits.room(limits.matrix @ weights) & (weights == 0) & possible)
     if len(among) <= TRIED:
         return among
     after = objective.after([regularised(t.information(weights)) for t in objective.terms], among)
@@ -164,19 +241,22 @@ def _tried(objective: Objective, limits: Limits, weights: Array) -> Array:
 def refusal(limits: Limits, checked: Checked, chosen: Sequence[int]) -> str:
     """Why the floors cannot be met, and the nearest request that might be."""
     candidates, floors = checked.candidates, checked.floors
-    whole = checked.margin(range(len(candidates)))
+    n, keep = len(candidates), limits.keep or 1
+    reached, possible = checked.reachable(keep), checked.possible()
     sentence = f"floors: no choice was found that meets them; the best one leaves {checked.margin(chosen).words}"
-    if whole.excess > 0.0 and floors.redundancy > 0.0 and not floors.mdb and not floors.influence:
-        reached = floors.redundancy - whole.excess
-        return f"{sentence}; even all {len(candidates)} candidates reach no more than {reached:.3g}: ask for that"
-    if whole.excess > 0.0:
-        return f"{sentence}; not even all {len(candidates)} candidates together meet them ({whole.words})"
+    if floors.redundancy > reached:
+        return f"{sentence}; no choice of {keep} or more of the {n} candidates can reach more than {reached:.3g}: " \
+               "ask for that at most, or add candidates"
+    if len(possible) < keep:
+        return f"{sentence}; only {len(possible)} of the {n} candidates can be kept at all under them: ask for " \
+               f"{len(possible)} or loosen them" if possible else f"{sentence}; none of the {n} candidates can be " \
+               "kept under them: loosen them"
     if limits.keep is not None:
         # Redundancy numbers add up to readings less unknowns, so their least is at most the mean.
         per = float(np.mean(candidates.readings))
         fixed = int(np.sum(checked.owner < 0))
         needed = int(np.ceil((candidates.rank / max(1.0 - floors.redundancy, 1e-9) - fixed) / per))
         more = max(needed, limits.keep + 1)
-        return (f"{sentence}; all {len(candidates)} candidates would meet them: keep more "
-                f"({f'at least {more}' if more < len(candidates) else 'all'}) or loosen the floors")
-    return f"{sentence}; all {len(candidates)} candidates would meet them: raise the budget or loosen the floors"
+        return f"{sentence}; keep more (at least {min(more, len(possible))}; {len(possible)} can be kept together) " \
+               "or loosen the floors"
+    return f"{sentence}; raise the budget or loosen the floors"

@@ -1,0 +1,133 @@
+"""selection.json and report.html of a choice: what was chosen, how far from the optimum, what u it promises."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from calib import files, units
+from calib.analyse.selection.planning import Step
+from calib.analyse.selection.select import Choice
+from calib.linearisation import Linearisation
+from calib.report import numbers, plots
+from calib.report.provenance import Provenance
+from calib.report.template import Drawing, Grid, render
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SHOWN = 60      # labels in the page; selection.json has all
+
+
+def content(problem: str, job: str, choice: Choice, provenance: Provenance) -> dict[str, Any]:
+    """The content of selection.json; rows as in the file, group after group.
+
+    problem, job: names; choice; provenance: of the run.
+    """
+    return {
+        "format": 1, "problem": problem, "job": job, "criterion": choice.criterion, "keep": choice.keep,
+        "rows": [int(r) for rows in choice.rows.values() for r in rows],
+        "groups": {name: [int(r) for r in rows] for name, rows in choice.rows.items()}, "chosen": list(choice.labels),
+        "candidates": choice.candidates, "value": choice.value, "bound": choice.bound, "gap": choice.gap,
+        "proven": choice.proven, "method": choice.method, "seconds": choice.seconds,
+        "quantities": [
+            {"name": p.name, "unit": p.unit, "u_all": p.u_all / units.factor(p.unit),
+             "u_selected": p.u_chosen / units.factor(p.unit) if np.isfinite(p.u_chosen) else None}
+            for p in choice.promises],
+        "remarks": list(choice.remarks), "provenance": provenance.content(),
+    }
+
+
+def sentence(choice: Choice) -> str:
+    """The choice in one sentence."""
+    way = "the optimum, proven" if choice.proven else f"at most {numbers.plain(100 * choice.gap, 3)} % from the optimum"
+    return (f"{len(choice.chosen)} of {choice.candidates} candidates for criterion {choice.criterion}: "
+            f"{numbers.plain(choice.value, 6)}, bound {numbers.plain(choice.bound, 6)}: {way}.")
+
+
+def write(title: str, fit: Linearisation, choice: Choice, steps: Sequence[Step], provenance: Provenance,
+          path: str | Path) -> Path:
+    """Write report.html, whole or not at all.
+
+    title; fit: what was chosen from; choice; steps: criterion against number kept; provenance; path. Returns the path.
+    """
+    drawings = []
+    if len(steps) > 1:
+        drawings.append(Drawing.of(_along(choice, steps), "along", "The criterion against the number kept: the best "
+                        "choices found (dots) and what no choice can beat (line)."))
+    picture = _places(fit, choice)
+    if picture is not None:
+        drawings.append(Drawing.of(picture, "places", "Where the chosen readings stand (filled) among the candidates "
+                                   "(open)."))
+    rows = [[p.name, numbers.plain(p.u_all / units.factor(p.unit)),
+             numbers.plain(p.u_chosen / units.factor(p.unit)) if np.isfinite(p.u_chosen) else "not known",
+             numbers.plain(p.u_chosen / p.u_all, 3) if np.isfinite(p.u_chosen) and p.u_all else "", p.unit]
+            for p in choice.promises]
+    more = f" and {len(choice.labels) - SHOWN} more" if len(choice.labels) > SHOWN else ""
+    return files.write_text(path, render(
+        "selection.html.j2", title=title, subtitle=f"{fit.name}: which observations to keep, found by {choice.method}",
+        sentence=sentence(choice), chosen=", ".join(choice.labels[:SHOWN]) + more, remarks=choice.remarks,
+        promises=Grid(["quantity", "u, all", "u, chosen", "ratio", "unit"], rows), drawings=drawings,
+        provenance=[("command", provenance.command), ("version", provenance.version), ("python", provenance.python),
+                    *((f"sha256 of {name}", digest) for name, digest in provenance.data.items())]))
+
+
+def _along(choice: Choice, steps: Sequence[Step]) -> Figure:
+    figure, axes = plots.canvas(2.8, fitted=True)
+    keep = [s.keep for s in steps]
+    values, bounds = np.array([s.value for s in steps]), np.array([s.bound for s in steps])
+    axes.fill_between(keep, values, bounds, color=plots.FAINT, alpha=0.35, linewidth=0)
+    axes.plot(keep, bounds, color=plots.FAINT, linewidth=1.4, label="bound")
+    axes.scatter(keep, values, s=18, color=plots.ACCENT, linewidths=0, label="best found", zorder=3)
+    axes.scatter([len(choice.chosen)], [choice.value], s=70, facecolors="none", edgecolors=plots.WARNING,
+                 linewidths=1.6, label="chosen", zorder=4)
+    if values.min() > 0 and max(values.max(), bounds.max()) / min(values.min(), bounds.min()) > 20:
+        axes.set_yscale("log")
+    axes.set_xlabel("candidates kept")
+    axes.set_ylabel(f"criterion {choice.criterion}")
+    axes.legend(frameon=False, labelcolor=plots.INK, fontsize=9, ncols=3, loc="lower left", bbox_to_anchor=(0, 1),
+                borderaxespad=0)
+    return figure
+
+
+def _places(fit: Linearisation, choice: Choice) -> Figure | None:
+    """Chosen readings among the candidates, over the two or three covariates that say where they stand."""
+    groups = [g for g in fit.groups if g.name in choice.rows and not g.is_prior]
+    names = _axes_of(groups[0].covariates) if groups else []
+    groups = [g for g in groups if all(name in g.covariates for name in names)]
+    if not names:
+        return None
+    scale = [units.factor(groups[0].covariate_units.get(name, "1") or "1") for name in names]
+    labels = [f"{name} / {u}" if (u := groups[0].covariate_units.get(name, "1")) not in ("", "1") else name
+              for name in names]
+    places = np.concatenate([np.column_stack([np.asarray(g.covariates[name], float) / s
+                                              for name, s in zip(names, scale)]) for g in groups])
+    taken = np.concatenate([np.isin(g.rows, choice.rows[g.name]) for g in groups])
+    solid = len(names) == 3
+    figure, axes = plots.canvas(4.4 if solid else 2.8, fitted=True)
+    if solid:
+        axes.remove()
+        axes = figure.add_subplot(projection="3d")
+        axes.patch.set_alpha(0)
+    columns = places.T if len(names) > 1 else np.array([places[:, 0], taken.astype(float)])
+    axes.scatter(*columns[:, ~taken], s=16, facecolors="none", edgecolors=plots.FAINT, linewidths=0.9)
+    axes.scatter(*columns[:, taken], s=26, color=plots.ACCENT, linewidths=0)
+    axes.set_xlabel(labels[0])
+    axes.set_ylabel(labels[1] if len(names) > 1 else "chosen")
+    if len(names) == 1:
+        axes.set_yticks([0, 1], ["no", "yes"])
+    if solid:
+        axes.set_zlabel(labels[2])
+        axes.zaxis.label.set_color(plots.INK)
+        axes.tick_params(axis="z", colors=plots.INK, labelcolor=plots.INK, labelsize=9)
+    return figure
+
+
+def _axes_of(covariates: Any) -> list[str]:
+    numeric = [name for name, values in covariates.items() if np.asarray(values).dtype.kind in "fiu"
+               and len(np.unique(values)) > 1]
+    space = [name for axis in ("x", "y", "z") for name in numeric if name.lower() == axis]
+    return space if len(space) >= 2 else numeric[:3] if len(numeric) >= 3 else numeric[:2]
