@@ -107,7 +107,7 @@ def _at_most(texts: tuple[str, ...]) -> dict[str, int]:
 
 def _steps(fit: Linearisation, choice: Choice, criterion: Any, by: Any, always: tuple[str, ...]) -> tuple[Step, ...]:
     n, k = choice.candidates, len(choice.chosen)
-    numbers = np.unique(np.round(np.geomspace(max(1, k / 3), min(n, 3 * k), TRIED)).astype(int))
+    numbers = np.unique(np.append(np.round(np.geomspace(max(1, k / 3), min(n, 3 * k), TRIED)).astype(int), n))
     least = int(np.ceil(np.linalg.matrix_rank(fit.factor.matrix) / max(1, fit.factor.size)))
     return along(fit, criterion, [int(m) for m in numbers if m >= least], by=by, always=always)
 

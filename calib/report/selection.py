@@ -77,57 +77,64 @@ def write(title: str, fit: Linearisation, choice: Choice, steps: Sequence[Step],
 
 def _along(choice: Choice, steps: Sequence[Step]) -> Figure:
     figure, axes = plots.canvas(2.8, fitted=True)
+    # Relative to the largest number tried, so that the axis has no unit that nobody reads.
+    whole = max(steps, key=lambda s: s.keep)
     keep = [s.keep for s in steps]
-    values, bounds = np.array([s.value for s in steps]), np.array([s.bound for s in steps])
+    values, bounds = (np.array([getattr(s, name) for s in steps]) / whole.value for name in ("value", "bound"))
     axes.fill_between(keep, values, bounds, color=plots.FAINT, alpha=0.35, linewidth=0)
     axes.plot(keep, bounds, color=plots.FAINT, linewidth=1.4, label="bound")
     axes.scatter(keep, values, s=18, color=plots.ACCENT, linewidths=0, label="best found", zorder=3)
-    axes.scatter([len(choice.chosen)], [choice.value], s=70, facecolors="none", edgecolors=plots.WARNING,
+    axes.scatter([len(choice.chosen)], [choice.value / whole.value], s=70, facecolors="none", edgecolors=plots.WARNING,
                  linewidths=1.6, label="chosen", zorder=4)
-    if values.min() > 0 and max(values.max(), bounds.max()) / min(values.min(), bounds.min()) > 20:
+    if max(values.max(), bounds.max()) / min(values.min(), bounds.min()) > 20:
         axes.set_yscale("log")
     axes.set_xlabel("candidates kept")
-    axes.set_ylabel(f"criterion {choice.criterion}")
+    axes.set_ylabel(f"criterion {choice.criterion}, relative to {whole.keep} kept")
     axes.legend(frameon=False, labelcolor=plots.INK, fontsize=9, ncols=3, loc="lower left", bbox_to_anchor=(0, 1),
                 borderaxespad=0)
     return figure
 
 
 def _places(fit: Linearisation, choice: Choice) -> Figure | None:
-    """Chosen readings among the candidates, over the two or three covariates that say where they stand."""
-    groups = [g for g in fit.groups if g.name in choice.rows and not g.is_prior]
-    names = _axes_of(groups[0].covariates) if groups else []
-    groups = [g for g in groups if all(name in g.covariates for name in names)]
-    if not names:
+    """Chosen readings among the candidates: in space where x, y and z are covariates, else over the two covariates
+    that say most, or the row number."""
+    group = next((g for g in fit.groups if g.name in choice.rows and not g.is_prior), None)
+    if group is None:
         return None
-    scale = [units.factor(groups[0].covariate_units.get(name, "1") or "1") for name in names]
-    labels = [f"{name} / {u}" if (u := groups[0].covariate_units.get(name, "1")) not in ("", "1") else name
-              for name in names]
-    places = np.concatenate([np.column_stack([np.asarray(g.covariates[name], float) / s
-                                              for name, s in zip(names, scale)]) for g in groups])
-    taken = np.concatenate([np.isin(g.rows, choice.rows[g.name]) for g in groups])
+    names, taken = _axes_of(group.covariates), np.isin(group.rows, choice.rows[group.name])
     solid = len(names) == 3
     figure, axes = plots.canvas(4.4 if solid else 2.8, fitted=True)
     if solid:
         axes.remove()
         axes = figure.add_subplot(projection="3d")
         axes.patch.set_alpha(0)
-    columns = places.T if len(names) > 1 else np.array([places[:, 0], taken.astype(float)])
-    axes.scatter(*columns[:, ~taken], s=16, facecolors="none", edgecolors=plots.FAINT, linewidths=0.9)
-    axes.scatter(*columns[:, taken], s=26, color=plots.ACCENT, linewidths=0)
-    axes.set_xlabel(labels[0])
-    axes.set_ylabel(labels[1] if len(names) > 1 else "chosen")
-    if len(names) == 1:
-        axes.set_yticks([0, 1], ["no", "yes"])
-    if solid:
-        axes.set_zlabel(labels[2])
-        axes.zaxis.label.set_color(plots.INK)
-        axes.tick_params(axis="z", colors=plots.INK, labelcolor=plots.INK, labelsize=9)
+        for one in (axes.xaxis, axes.yaxis, axes.zaxis):
+            one.pane.set_alpha(0)
+            one.label.set_color(plots.INK)
+    columns, labels = [], []
+    for name in names or ["row"]:
+        values = np.asarray(group.covariates.get(name, group.rows))
+        unit = group.covariate_units.get(name, "")
+        shown = unit not in ("", "1")
+        columns.append(values / units.factor(unit) if shown and values.dtype.kind == "f" else values)
+        labels.append(f"{name} / {unit}" if shown else name)
+    if len(columns) == 1:
+        columns.append(np.where(taken, "chosen", "not chosen"))
+        labels.append("")
+    axes.scatter(*[c[~taken] for c in columns], s=16, facecolors="none", edgecolors=plots.FAINT, linewidths=0.9)
+    axes.scatter(*[c[taken] for c in columns], s=30, color=plots.ACCENT, linewidths=0)
+    for set_label, label in zip((axes.set_xlabel, axes.set_ylabel, getattr(axes, "set_zlabel", None)), labels):
+        set_label(label)      # type: ignore[misc]
+    axes.tick_params(colors=plots.INK, labelcolor=plots.INK, labelsize=9)
     return figure
 
 
 def _axes_of(covariates: Any) -> list[str]:
-    numeric = [name for name, values in covariates.items() if np.asarray(values).dtype.kind in "fiu"
-               and len(np.unique(values)) > 1]
-    space = [name for axis in ("x", "y", "z") for name in numeric if name.lower() == axis]
-    return space if len(space) >= 2 else numeric[:3] if len(numeric) >= 3 else numeric[:2]
+    varied = {name: np.asarray(values) for name, values in covariates.items() if len(np.unique(values)) > 1}
+    space = [name for axis in ("x", "y", "z") for name in varied if name.lower() == axis
+             and varied[name].dtype.kind in "fiu"]
+    if len(space) >= 2:
+        return space
+    numeric = sorted((n for n, v in varied.items() if v.dtype.kind == "f"), key=lambda n: -len(np.unique(varied[n])))
+    kinds = [n for n, v in varied.items() if v.dtype.kind != "f" and len(np.unique(v)) <= 40]
+    return [*numeric[:1], *kinds[:1]] if numeric else ["row", *kinds[:1]]

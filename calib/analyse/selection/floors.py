@@ -99,7 +99,7 @@ class Checked:
         can be kept is kept, so what fails then is out, again and again until nothing fails."""
         left = np.ones(len(self.candidates), dtype=bool)
         while left.any():
-            kept, redundancy = self._redundancy(np.flatnonzero(left))
+            kept, redundancy = self._redundancy(np.flatnonzero(left).tolist())
             mdb = self.bias / np.sqrt(np.maximum(redundancy, 1e-12)) * self.u[kept]
             fails = (redundancy < self.floors.redundancy) | (mdb > self.mdb[kept])
             gone = np.unique(self.owner[kept][fails])
@@ -113,7 +113,7 @@ class Checked:
         """A least redundancy that no choice of `keep` candidates or more exceeds."""
         left, best = np.ones(len(self.candidates), dtype=bool), 0.0
         while left.sum() >= keep:
-            kept, redundancy = self._redundancy(np.flatnonzero(left))
+            kept, redundancy = self._redundancy(np.flatnonzero(left).tolist())
             worst = int(np.argmin(redundancy))
             best = max(best, float(redundancy[worst]))
             owner = self.owner[kept][worst]

@@ -109,8 +109,8 @@ def _kinds(candidates: Candidates, key: Any) -> list[tuple[str, NDArray[np.bool_
     """The kinds that a covariate, or an explicit list of labels, makes among the candidates."""
     n = len(candidates)
     if not isinstance(key, str):
-        numbers = [_number(candidates, label) for label in key]
-        return [(f"{key[0]}, ...", np.isin(np.arange(n), numbers))]
+        listed = [_number(candidates, label) for label in key]
+        return [(f"{key[0]}, ...", np.isin(np.arange(n), listed))]
     kinds: dict[str, NDArray[np.bool_]] = {}
     for name, numbers in candidates.members.items():
         covariates = candidates.fit.group(name).covariates

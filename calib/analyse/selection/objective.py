@@ -115,4 +115,5 @@ class Nearby:
         loss(w') >= level - log(1 + max g.(w' - w)). Holds at any weights, whoever found them.
         """
         level = float(np.log(np.sum(self.share * np.exp([t.level for t in self.tangents]))))
-        return level - float(np.log1p(max(limits.largest(self.gain, lower, upper) - self.gain @ weights, -0.999)))
+        ahead = limits.largest(self.gain, lower, upper) - float(self.gain @ weights)
+        return level - float(np.log1p(max(ahead, -0.999)))
