@@ -1,25 +1,70 @@
-"""Monte Carlo: re-solve simulated readings of a declared problem, all trials of a batch side by side."""
+"""Monte Carlo: propagation of distributions through the whole estimation, trials in blocks (JCGM 101)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.blocks import Array, Mixing
+from calib.blocks import Array
+from calib.compiled import threads
 from calib.errors import CalibrationError
-from calib.linearisation import Functions, Linearisation, linearise_system
-from calib.observations import Observations, Quantity
+from calib.linearisation import Functions, linearise_system
+from calib.observations import Quantity
 from calib.solve.estimate import Estimate
-from calib.system import System, Term
-from calib.uncertainty import Weighting
+from calib.system import System
 from calib.unknown import Unknown
+from calib.workflow.trials import Trials, trials_of
 
-LANE_NUMBERS = 4_000_000  # numbers in the derivatives of one batch of trials
-STEPS = 25  # Gauss-Newton steps at most; trials start at the truth, so that three are usual
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+USUAL = 200_000  # trials that stabilise two digits of most results
+
+
+@dataclass(frozen=True)
+class Adaptive:
+    """As many trials as stabilise every result to the digits wanted.
+
+    digits: of the standard uncertainties; probability: of the coverage intervals; largest: trials at most.
+    Source: JCGM 101:2008, 7.9.
+    """
+
+    digits: int = 2
+    probability: float = 0.95
+    largest: int = 10_000_000
+
+    @property
+    def lot(self) -> int:
+        """Trials between two looks; 7.9.4 b)."""
+        return max(10_000, int(np.ceil(100 / (1 - self.probability))))
+
+    def tolerance(self, u: Array) -> Array:
+        """Numerical tolerance (k,) of standard uncertainties (k,); 7.9.2."""
+        leading = np.floor(np.log10(np.where(u > 0, u, 1.0)))
+        rounded = np.round(u / 10.0 ** (leading - self.digits + 1))  # 0.0996 to two digits is 0.10
+        leading = leading + (rounded >= 10.0**self.digits)
+        return np.where(u > 0, 0.5 * 10.0 ** (leading - self.digits + 1), 0.0)
+
+
+@dataclass(frozen=True)
+class Stability:
+    """How still the results stand after an adaptive number of trials.
+
+    tolerance (k,): allowed; spread (k, 4): twice the standard deviation of mean, u and both ends of the interval.
+    """
+
+    tolerance: Array
+    spread: Array
+
+    @property
+    def reached(self) -> bool:
+        """Whether every result stands still."""
+        return bool(np.all(self.spread <= self.tolerance[:, None]))
 
 
 @dataclass(frozen=True)
@@ -27,7 +72,8 @@ class MonteCarlo:
     """Simulated re-estimates of derived results.
 
     names, units: of the k results; samples: (trials, k) SI, only trials that converged; failures: trials that did not;
-    linear, linear_u: value and u (k,) of the linear propagation at the truth.
+    linear, linear_u: value and u (k,) of the linear propagation at the truth; stability: where the number of trials was
+    chosen adaptively.
     """
 
     names: tuple[str, ...]
@@ -36,6 +82,7 @@ class MonteCarlo:
     failures: int
     linear: Array
     linear_u: Array
+    stability: Stability | None = None
 
     @property
     def mean(self) -> Array:
@@ -61,139 +108,17 @@ class MonteCarlo:
         return np.stack([ordered[begin, columns], ordered[begin + inside - 1, columns]], axis=1)
 
 
-class _Lanes:
-    """A system whose trials run side by side: every unknown has one set of instances for each trial."""
-
-    def __init__(self, system: System, weightings: Sequence[Weighting]):
-        self.system, self.weightings = system, weightings
-        self.size = len(system.layout.free_columns)
-
-    def inputs(self, term: Term, values: dict[Unknown, Array], trials: int) -> list[Any]:
-        """Input columns of a term for all trials, trial by trial."""
-        columns: list[Any] = []
-        for feed in term.feeds:
-            if feed.unknown is None:
-                data = np.broadcast_to(feed.data, (term.n, feed.data.shape[1])) if len(feed.data) > 1 else feed.data
-                columns += [c[0] if len(c) == 1 else np.tile(c, trials) for c in data.T]
-            else:
-                gathered = values[feed.unknown].reshape(trials, feed.unknown.count, -1)[:, feed.index]
-                columns += list(np.ascontiguousarray(gathered.reshape(trials * term.n, -1).T))
-        return columns
-
-    def rows(self, values: dict[Unknown, Array], readings: Sequence[Array], trials: int) -> tuple[Array, Array]:
-        """Whitened residuals (trials, N) and derivatives (trials, N, p)."""
-        residuals, matrices = [], []
-        for term, weighting, reading in zip(self.system.terms, self.weightings, readings, strict=True):
-            result = term.traced.program(term.any_free)(self.inputs(term, values, trials), trials * term.n)
-            predicted = result[: term.dim].reshape(term.dim, trials, term.n).transpose(1, 2, 0)
-            residual = reading - predicted
-            _unwrap(term, residual)
-            matrix = np.zeros((trials, term.n, term.dim, self.size))
-            begin = term.dim
-            for columns, source, want in zip(term.columns, term.traced.sources, term.any_free, strict=True):
-                if want:
-                    piece = result[begin : begin + term.dim * source.freedom].reshape(
-                        source.freedom, term.dim, trials, term.n
-                    )
-                    begin += term.dim * source.freedom
-                    _scatter(matrix, piece, self.system.layout.position[columns])
-            for mixing in weighting.whitening:
-                residuals.append(_mix(mixing, residual[..., None]).reshape(trials, -1))
-                matrices.append(_mix(mixing, matrix).reshape(trials, -1, self.size))
-        return np.concatenate(residuals, axis=1), np.concatenate(matrices, axis=1)
-
-    def conditions(self, values: dict[Unknown, Array], trials: int) -> tuple[Array, Array]:
-        """Excess (trials, m) and derivatives (trials, m, p) of the equality constraints."""
-        excess, matrices = [np.zeros((trials, 0))], [np.zeros((trials, 0, self.size))]
-        for term in self.system.conditions:
-            result = term.traced.program(term.any_free)(self.inputs(term, values, trials), trials * term.n)
-            value = result[: term.dim].reshape(term.dim, trials, term.n).transpose(1, 2, 0) - term.bound.lower
-            matrix = np.zeros((trials, term.n, term.dim, self.size))
-            begin = term.dim
-            for columns, source, want in zip(term.columns, term.traced.sources, term.any_free, strict=True):
-                if want:
-                    piece = result[begin : begin + term.dim * source.freedom].reshape(
-                        source.freedom, term.dim, trials, term.n
-                    )
-                    begin += term.dim * source.freedom
-                    _scatter(matrix, piece, self.system.layout.position[columns])
-            excess.append(value.reshape(trials, -1))
-            matrices.append(matrix.reshape(trials, -1, self.size))
-        return np.concatenate(excess, axis=1), np.concatenate(matrices, axis=1)
-
-    def solve(
-        self, start: dict[Unknown, Array], readings: Sequence[Array], trials: int
-    ) -> tuple[dict[Unknown, Array], NDArray[np.bool_]]:
-        """Stored values (trials count, width) of all unknowns after Gauss-Newton, and which trials converged."""
-        layout = self.system.layout
-        values = {u: np.tile(v, (trials, 1)) for u, v in start.items()}
-        remaining = np.full(trials, np.inf)
-        for _ in range(STEPS):
-            residual, matrix = self.rows(values, readings, trials)
-            scale = np.sqrt(np.einsum("tni,tni->ti", matrix, matrix))
-            matrix /= np.where(scale > 0, scale, 1.0)[:, None, :]
-            excess, conditions = self.conditions(values, trials)
-            conditions = conditions / scale[:, None, :]
-            m = excess.shape[1]
-            saddle = np.zeros((trials, self.size + m, self.size + m))
-            saddle[:, : self.size, : self.size] = matrix.transpose(0, 2, 1) @ matrix
-            saddle[:, self.size :, : self.size] = conditions
-            saddle[:, : self.size, self.size :] = conditions.transpose(0, 2, 1)
-            right = np.concatenate([(matrix.transpose(0, 2, 1) @ residual[..., None])[..., 0], -excess], axis=1)
-            step = np.linalg.solve(saddle, right[..., None])[:, : self.size, 0]
-            previous, remaining = remaining, np.linalg.norm((matrix @ step[..., None])[..., 0], axis=1)
-            step /= scale
-            full = np.zeros((trials, layout.size))
-            full[:, layout.free_columns] = step
-            for unknown in layout.unknowns:
-                moved = full[:, layout.span(unknown)].reshape(trials * unknown.count, unknown.freedom)
-                values[unknown] = unknown.move(values[unknown], moved)
-            if np.all((remaining < 1e-8) | ((remaining < 1e-5) & (remaining > 0.3 * previous))):
-                break
-        return values, remaining < 1e-5
-
-    def functions(self, quantities: Sequence[Quantity], values: dict[Unknown, Array], trials: int) -> Array:
-        """Values (trials, k) of quantities."""
-        pieces = []
-        for quantity in quantities:
-            term = self.system.results.get(quantity) or self.system.plain(quantity)
-            nothing = (False,) * len(term.feeds)
-            result = term.traced.program(nothing)(self.inputs(term, values, trials), trials * term.n)
-            pieces.append(result.reshape(term.dim, trials, term.n).transpose(1, 2, 0).reshape(trials, -1))
-        return np.concatenate(pieces, axis=1)
-
-
-def _unwrap(term: Term[Observations], residual: Array) -> None:
-    period = term.bound.period
-    if period is not None:
-        for j, each in enumerate([period] * term.dim if np.ndim(period) == 0 else period):
-            if each is not None:
-                residual[..., j] -= each * np.rint(residual[..., j] / each)
-
-
-def _scatter(matrix: Array, piece: Array, places: NDArray[np.int64]) -> None:
-    """Add derivatives (f, dim, trials, n) into (trials, n, dim, p) at the places (n, f)."""
-    for f in range(len(piece)):
-        rows = np.flatnonzero(places[:, f] >= 0)
-        matrix[:, rows, :, places[rows, f]] += piece[f][:, :, rows].transpose(2, 1, 0)
-
-
-def _mix(mixing: Mixing, array: Array) -> Array:
-    """Apply row operations to (trials, n, dim, k): (trials, m, d, k)."""
-    if mixing.matrix.ndim == 2:
-        return mixing.matrix[None, :, :, None] * array[:, mixing.rows[:, 0]]
-    trials, _, dim, k = array.shape
-    source = array[:, mixing.rows].reshape(trials, len(mixing.rows), mixing.rows.shape[1] * dim, k)
-    return mixing.matrix[None] @ source
-
-
-def montecarlo(estimate: Estimate, trials: int, seed: int, quantities: Sequence[Quantity] | None = None) -> MonteCarlo:
+def montecarlo(
+    estimate: Estimate, trials: int | Adaptive, seed: int, quantities: Sequence[Quantity] | None = None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> MonteCarlo:
     """Propagate the stated distributions through the whole estimation.
 
-    estimate: taken as the truth; trials: how many re-estimates; seed: of the errors; quantities: results to sample
-    (all of the problem if not given). Readings and priors are drawn from the declared model; held unknowns with a prior
-    are drawn from it.
-    Raises CalibrationError where the problem has bounds or inequalities, which this check does not cover.
+    estimate: taken as the truth; trials: how many re-estimates, or `Adaptive`; seed: of the errors; quantities: results
+    to sample (all of the problem if not given); progress: called with the number of trials done, now and then. Readings
+    and priors are drawn from the declared model; held unknowns with a prior are drawn from it. The samples follow from
+    the seed alone, however many threads there are (CALIB_THREADS), and a longer run begins with a shorter one.
+    Raises CalibrationError where the problem has inequalities, which this check does not cover.
     Source: JCGM 101:2008, 7.
     """
     system = System(estimate.problem)
@@ -204,23 +129,69 @@ def montecarlo(estimate: Estimate, trials: int, seed: int, quantities: Sequence[
         raise CalibrationError(
             f"{estimate.problem.name} has inequality constraints, which the Monte Carlo check does not cover."
         )
-    truth = dict(estimate.values)
-    fit = linearise_system(system, truth)
-    weightings = [g.weighting for g in fit.groups]
-    lanes, generator = _Lanes(system, weightings), np.random.default_rng(seed)
-    batch = max(1, min(trials, LANE_NUMBERS // max(1, sum(g.residual.size for g in fit.groups) * max(lanes.size, 1))))
-    samples, failures = [], 0
-    for begin in range(0, trials, batch):
-        count = min(batch, trials - begin)
-        start, readings = _draw(fit, system, truth, generator, count)
-        values, good = lanes.solve(start, readings, count)
-        failures += int(np.sum(~good))
-        samples.append(lanes.functions(chosen, values, count)[good])
     from calib.analyse.covariance import covariance
 
-    functions = [_as_functions(system, q, truth) for q in chosen]
-    linear = covariance(fit, *functions)
-    return MonteCarlo(linear.names, linear.units, np.concatenate(samples), failures, linear.values, linear.u)
+    truth = dict(estimate.values)
+    fit = linearise_system(system, truth)
+    linear = covariance(fit, *[_as_functions(system, q, truth) for q in chosen])
+    limit = trials.largest if isinstance(trials, Adaptive) else trials
+    ready = trials_of(system, fit, truth, chosen, min(limit, USUAL) if isinstance(trials, Adaptive) else trials)
+    stability, done, failures, samples = None, 0, 0, []
+    for found, good in _blocks(ready, limit, seed):
+        samples.append(found if good.all() else found[good])
+        failures += int(np.sum(~good))
+        done += len(good)
+        progress(done)
+        if isinstance(trials, Adaptive) and done >= 2 * trials.lot and (done % trials.lot < len(good) or done == limit):
+            stability = _stability(trials, np.concatenate(samples))
+            if stability.reached:
+                break
+    return MonteCarlo(
+        linear.names, linear.units, np.concatenate(samples), failures, linear.values, linear.u, stability
+    )
+
+
+def _blocks(trials: Trials, count: int, seed: int) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
+    """Blocks in order, made by all threads; a block follows from its number alone."""
+    numbers = range(-(-count // trials.block))
+    sizes = [min(trials.block, count - n * trials.block) for n in numbers[-1:]]
+    workers = min(threads(), len(numbers))
+
+    def sample(number: int) -> tuple[Array, NDArray[np.bool_]]:
+        return trials.sample(seed, number, sizes[0] if number == numbers[-1] else trials.block)
+
+    if workers < 2:
+        yield from map(sample, numbers)
+    else:
+        yield from _ahead(sample, numbers, workers)
+
+
+def _ahead(
+    sample: Callable[[int], tuple[Array, NDArray[np.bool_]]], numbers: Iterable[int], workers: int
+) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
+    from concurrent.futures import ThreadPoolExecutor
+
+    pool, rest = ThreadPoolExecutor(workers, thread_name_prefix="trials"), iter(numbers)
+    coming: deque[Future[tuple[Array, NDArray[np.bool_]]]] = deque()
+    try:
+        while True:
+            while len(coming) < 2 * workers and (number := next(rest, None)) is not None:
+                coming.append(pool.submit(sample, number))
+            if not coming:
+                return
+            yield coming.popleft().result()
+    finally:  # also where the caller has enough, or is interrupted
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _stability(wanted: Adaptive, samples: Array) -> Stability:
+    """How far mean, u and ends of the coverage interval of the lots differ; JCGM 101:2008, 7.9.4 e) to j)."""
+    lots = [samples[i : i + wanted.lot] for i in range(0, len(samples) - wanted.lot + 1, wanted.lot)]
+    tail = (1 - wanted.probability) / 2
+    seen = np.array([[lot.mean(axis=0), lot.std(axis=0, ddof=1), *np.quantile(lot, [tail, 1 - tail], axis=0)]
+                     for lot in lots])
+    spread = 2 * seen.std(axis=0, ddof=1).T / np.sqrt(len(lots))
+    return Stability(wanted.tolerance(samples.std(axis=0, ddof=1)), spread)
 
 
 def _as_functions(system: System, quantity: Quantity, truth: dict[Unknown, Array]) -> Functions:
@@ -228,37 +199,3 @@ def _as_functions(system: System, quantity: Quantity, truth: dict[Unknown, Array
     return Functions(
         tuple(quantity.labels(value.shape[1])), quantity.units(value.shape[1]) * quantity.n, value.ravel(), derivatives
     )
-
-
-def _draw(
-    fit: Linearisation, system: System, truth: dict[Unknown, Array], generator: np.random.Generator, count: int
-) -> tuple[dict[Unknown, Array], list[Array]]:
-    """Start values and readings (count, n, dim) of every group; the readings see held quantities drawn from their
-    priors, the estimation does not."""
-    lanes = _Lanes(system, [g.weighting for g in fit.groups])
-    seen = {u: np.tile(v, (count, 1)) for u, v in truth.items()}
-    from calib.analyse.covariance import considered
-
-    held = considered(fit)
-    if held.columns:
-        draws = generator.multivariate_normal(
-            np.zeros(len(held.columns)), held.covariance, size=count, method="cholesky"
-        )
-        step = np.zeros((count, system.layout.size))
-        step[:, list(held.columns)] = draws
-        for unknown in system.layout.unknowns:
-            moved = step[:, system.layout.span(unknown)].reshape(count * unknown.count, unknown.freedom)
-            seen[unknown] = unknown.move(seen[unknown], moved)
-    readings = []
-    for term, group in zip(system.terms, fit.groups, strict=True):
-        nothing = (False,) * len(term.feeds)
-        predicted = term.traced.program(nothing)(lanes.inputs(term, seen, count), count * term.n)
-        predicted = predicted.reshape(term.dim, count, term.n).transpose(1, 2, 0)
-        normal = generator.standard_normal((count, term.n, term.dim, 1))
-        errors = np.empty((count, term.n, term.dim))
-        for mixing in group.weighting.factors:
-            errors[:, mixing.rows] = _mix(mixing, normal).reshape(count, *mixing.rows.shape, term.dim)
-        if group.is_prior and not group.counted.all():
-            predicted = np.where(group.counted[:, None], predicted, group.predicted)
-        readings.append(predicted + errors)
-    return truth, readings
