@@ -11,6 +11,7 @@ Source: ISO 230-1:2012 (location errors); data of ROS-Industrial, industrial_cal
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,7 @@ columns = {"poses": {"A, C": "positions of the axes", "x, y, z": "place of the t
                      "qw, qx, qy, qz": "its orientation"}}
 
 
+@lru_cache(maxsize=1)
 def positioner() -> Mechanism:
     """The mechanism as designed: two axes that cross at a right angle; the table's weight rests off the axis A."""
     return Mechanism("positioner", axes=[Rotary("A", direction=(1, 0, 0)),
@@ -56,10 +58,11 @@ def positioner() -> Mechanism:
                      frames=[Frame("table", carried_by="C")], loads=[Load("table", (0, 0, 0.5), "A")])
 
 
-def effects(mechanism: Mechanism | None = None) -> tuple[Effect, ...]:
+@lru_cache(maxsize=1)
+def effects() -> tuple[Effect, ...]:
     """Candidates: location of C, scale and encoder of both axes, error motions, deflection of A under the table's
     weight."""
-    mechanism = mechanism or positioner()
+    mechanism = positioner()
     drives = [effect for axis in mechanism.axes
               for effect in (scale(axis), encoder_harmonic(axis, 1), encoder_harmonic(axis, 2))]
     motions = [error_motion(axis, component, (2, 3)) for axis in mechanism.axes for component in "XYZABC"
@@ -91,7 +94,7 @@ def declare(positions: ArrayLike, places: ArrayLike, rotations: ArrayLike, u_pos
         readings=readings, u=Gaussian.standard([u_position] * 3 + [u_orientation] * 3), group="pose", rows=rows,
         components=("x", "y", "z", "rx", "ry", "rz"), unit=["mm"] * 3 + ["mrad"] * 3,
         covariates={name: (positions[:, i], "rad") for i, name in enumerate(("A", "C"))})
-    problem = Problem([observations], effects=effects(mechanism), name="two-axis positioner")
+    problem = Problem([observations], effects=effects(), name="two-axis positioner")
     problem = problem.free(*(problem.parameters(name) for name in (*LOCATION, *free)))
     return problem.with_quantities(*_quantities(mechanism.pose("table"), problem, instrument_from_base))
 

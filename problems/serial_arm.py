@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ import numpy as np
 from calib import Effect, Observations, Problem, Quantity, Unknown, linearise, predict, simulate
 from calib.errors import InputError
 from calib.job import Job
-from calib.mechanism import Load, Mechanism, encoder_harmonic, location_errors, observe, sag, urdf
+from calib.mechanism import Load, Mechanism, bending, encoder_harmonic, location_errors, observe, sag, urdf
 from calib.mechanism.inputs import checked_positions
 from calib.mechanism.read import data_path, joint_positions
 from calib.mechanism.tolerance import alike, tolerances
@@ -37,7 +38,8 @@ options = {
     "distance, u_distance": "of the two sockets; u_seat: of a seated ball, each component",
     "u_length, u_tilt, u_zero": "tolerances of the location errors; u_sag: deflection of a drive per metre of lever "
                                 "arm",
-    "u_sag_between": "how much drives of one torque limit may differ; u_encoder: amplitude of an encoder's harmonics",
+    "u_sag_between": "how much drives of one torque limit may differ; u_bending: tilt of an axis per metre of lever",
+    "u_encoder": "amplitude of an encoder's harmonics",
     "encoder_orders": "harmonics of each encoder, [1] if not given",
 }
 columns = {"loads": {"link": "name in the URDF", "mass": "kg", "x, y, z": "centre of mass in the link's frame"}}
@@ -48,7 +50,8 @@ class Tolerances:
     """How large errors may be, as standard uncertainties; None leaves a family out.
 
     length [m], tilt [rad]: place and direction of an axis; zero [rad]: of a joint; sag [rad/m]: of a drive under the
-    whole weight at a lever arm; sag_between [rad/m]: of drives of one torque limit; encoder [rad]: of each harmonic.
+    whole weight at a lever arm; sag_between [rad/m]: of drives of one torque limit; bending [rad/m]: of an axis across;
+    encoder [rad]: of each harmonic.
     """
 
     length: float
@@ -56,10 +59,11 @@ class Tolerances:
     zero: float
     sag: float | None = None
     sag_between: float | None = None
+    bending: float | None = None
     encoder: float | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Arm:
     """An arm: mechanism, frame that carries the ball, and for each axis the torque limit that says which drive it
     has."""
@@ -69,19 +73,21 @@ class Arm:
     efforts: Mapping[str, float]
 
 
-def effects(arm: Arm, orders: Sequence[int] = (1,)) -> tuple[Effect, ...]:
+@lru_cache(maxsize=32)      # the same effects for the same arm, so that models with them are traced once
+def effects(arm: Arm, orders: tuple[int, ...] = (1,)) -> tuple[Effect, ...]:
     """Location errors of all axes but the first; deflection of each drive where weights are known; encoder
     harmonics."""
     axes = arm.mechanism.axes
     sags = tuple(sag(arm.mechanism, axis) for axis in axes
                  if any(axis in arm.mechanism.path_of(x) for x in arm.mechanism.loads))
     return (*location_errors(arm.mechanism, [a.name for a in axes[1:]]), *sags,
+            *(bending(arm.mechanism, axis) for axis in axes if arm.mechanism.loads),
             *(encoder_harmonic(axis, order) for axis in axes for order in orders))
 
 
 def declare(arm: Arm, placements: Mapping[str, Sequence[np.ndarray]], u_seat: float, distance: float | None,
 u_distance: float,
-            sizes: Tolerances, orders: Sequence[int] = (1,)) -> Problem:
+            sizes: Tolerances, orders: tuple[int, ...] = (1,)) -> Problem:
     """Declare the calibration of an arm from seated balls.
 
     arm; placements: {name: for each socket the joint positions (n, axes) [rad]}; u_seat: standard uncertainty of each
@@ -118,11 +124,11 @@ def _with_tolerances(problem: Problem, arm: Arm, sizes: Tolerances) -> Problem:
     """The families that have a size freed, each with its tolerance as a prior."""
     families: dict[str, dict[str, float]] = {"tolerance of lengths": {}, "tolerance of tilts": {}, "tolerance of "
                                                                                                    "zeros": {},
-                                             "compliance of drives": {}, "encoders": {}}
+                                             "compliance of drives": {}, "compliance of links": {}, "encoders": {}}
     sags: dict[float, list[str]] = {}
     for effect in problem.effects:
         axis = arm.mechanism.axis(effect.channel)
-        if effect.slot.endswith("_location"):
+        if effect.name[:1] == "E" and effect.slot.endswith("_location"):
             component = "XYZABC".index(effect.name[1])
             zero = component % 3 == axis.along
             size = sizes.length if component < 3 else sizes.zero if zero else sizes.tilt
@@ -131,6 +137,9 @@ def _with_tolerances(problem: Problem, arm: Arm, sizes: Tolerances) -> Problem:
         elif effect.name.startswith("sag") and sizes.sag is not None:
             families["compliance of drives"][effect.label] = sizes.sag
             sags.setdefault(arm.efforts.get(axis.name, 0.0), []).append(effect.label)
+        elif effect.name.startswith("bending"):
+            if sizes.bending is not None:
+                families["compliance of links"][effect.label] = sizes.bending
         elif effect.name.startswith("encoder") and sizes.encoder is not None:
             families["encoders"][effect.label] = sizes.encoder
     free = [label for family in families.values() for label in family]
@@ -197,10 +206,11 @@ def setup(job: Job) -> Setup:
         raise InputError(f"{job.path}: no placement is used for the calibration; add [[options.placements]] with name "
                          "and files.")
     length, angle = "length", "angle"
-    sizes = Tolerances(said.quantity("u_length", length), said.quantity("u_tilt", angle),
-                       said.quantity("u_zero", angle),
-                       said.quantity("u_sag", "angle/length", None), said.quantity("u_sag_between", "angle/length",
-                       None), said.quantity("u_encoder", angle, None))
+    slope = "angle/length"
+    sizes = Tolerances(length=said.quantity("u_length", length), tilt=said.quantity("u_tilt", angle),
+                       zero=said.quantity("u_zero", angle), sag=said.quantity("u_sag", slope, None),
+                       sag_between=said.quantity("u_sag_between", slope, None),
+                       bending=said.quantity("u_bending", slope, None), encoder=said.quantity("u_encoder", angle, None))
     orders = tuple(int(v) for v in said.numbers("encoder_orders", (1,)))
     return Setup(arm, found[False], found[True], {
         "u_seat": said.quantity("u_seat", length), "distance": said.quantity("distance", length, None),

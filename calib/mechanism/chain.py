@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import inspect
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -95,6 +96,7 @@ class Mechanism(Frozen):
 
     # --- the model ------------------------------------------------------------------------------------------------
 
+    @lru_cache(maxsize=256)     # noqa: B019 - the same model for the same question, so that it is traced once
     def pose(self, frame: str, seen_from: str = "base") -> Callable[..., Transform]:
         """The model `pose(positions) -> Transform` seen_from_from_frame, with slots for every error.
 

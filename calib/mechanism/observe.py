@@ -4,6 +4,7 @@ slots."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from calib.effect import hands_slots_to
 from calib.errors import InputError
 from calib.mechanism.axis import Array
 
-Model = Callable[..., Any]
+Model = Callable[..., Any]     # the builders below return the same model for the same pose, so that it is traced once
 
 
 def _named(model: Model, pose: Model, what: str) -> Model:
@@ -23,6 +24,7 @@ def _named(model: Model, pose: Model, what: str) -> Model:
     return hands_slots_to(pose)(model)
 
 
+@lru_cache(maxsize=256)
 def measured_pose(pose: Model) -> Model:
     """Model of a measured pose of a target: `(world_from_base, positions, frame_from_target, near) -> (6,)`.
 
@@ -47,6 +49,7 @@ def pose_readings(translations: ArrayLike, rotations: ArrayLike, near: ArrayLike
     return np.concatenate([places, np.array(away)], axis=1)
 
 
+@lru_cache(maxsize=256)
 def measured_point(pose: Model) -> Model:
     """Model of a measured point of a part, such as a reflector: `(world_from_base, positions, point) -> (3,)` [m]."""
     def model(world_from_base: Any, positions: Any, point: Any, **slots: Any) -> Any:
@@ -54,6 +57,7 @@ def measured_point(pose: Model) -> Model:
     return _named(model, pose, "measured_point_on")
 
 
+@lru_cache(maxsize=256)
 def measured_distance(pose: Model) -> Model:
     """Model of a distance, such as a ball bar or a range-only tracker: `(station, positions, point) -> distance` [m].
 
@@ -64,6 +68,7 @@ def measured_distance(pose: Model) -> Model:
     return _named(model, pose, "distance_to")
 
 
+@lru_cache(maxsize=256)
 def contact(pose: Model) -> Model:
     """Model of a ball seated in a socket: `(socket, positions, ball) -> (3,)`, socket less ball in base coordinates.
 
@@ -80,6 +85,7 @@ def distance_between(first: Any, second: Any) -> Any:
     return geometry.norm(second - first)
 
 
+@lru_cache(maxsize=256)
 def sighted_mirror(pose: Model) -> Model:
     """Model of an autocollimator on a mirror of the part: `(world_from_base, positions, normal) -> (2,)` [rad].
 
@@ -93,6 +99,7 @@ def sighted_mirror(pose: Model) -> Model:
     return _named(model, pose, "mirror_on")
 
 
+@lru_cache(maxsize=256)
 def level_on(pose: Model) -> Model:
     """Model of a level on the part: `(positions, sensitive, down, zero) -> inclination` [rad].
 
@@ -104,6 +111,7 @@ def level_on(pose: Model) -> Model:
     return _named(model, pose, "level_on")
 
 
+@lru_cache(maxsize=256)
 def line_of_sight(pose: Model) -> Model:
     """Model of a sighting instrument that is the mechanism: `(positions, sight, station, target) -> (2,)` [rad].
 
