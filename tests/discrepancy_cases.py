@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
+from discrepancy_designs import DESIGNS, Design
 
 from calib import Problem, linearise, predict
 from calib.analyse.score import Candidate, candidates, field_of
+from calib.units import nm
 from calib.workflow.discrepancy.readings import Channel, channels, row_numbers
-from discrepancy_designs import DESIGNS, Design
 
 SEEN = 0.05  # share of a signal that the unknowns must leave for an effect to be hidden in a case
 APART = 0.5  # share of its signal that an effect must keep beside the others of its case
@@ -98,8 +99,11 @@ def hide_effects(scenario: str, seed: int, count: int, size: float) -> Case:
     here = stage(_design(scenario, g))
     effects: dict[tuple[str, str], np.ndarray] = {}
     labels, truth = [], dict(here.design.truth)
+    # A phase at half a wavelength is known on a fine line only; elsewhere nobody could find what turns with it.
+    fine = min(float(u.min()) for u in here.u.values()) < 50 * nm
     visible = [i for i in g.permutation(len(here.chosen))
-               if np.linalg.norm(here.signals[i]) > SEEN * np.linalg.norm(here.whole[i])]
+               if np.linalg.norm(here.signals[i]) > SEEN * np.linalg.norm(here.whole[i])
+               and (fine or here.chosen[i].effect.name != "cyclic")]
     # By name first, so that a family of thirty straightnesses does not crowd out the rest.
     names = list(g.permutation(sorted({here.chosen[i].effect.name for i in visible})))
     stored: dict = {}
@@ -201,7 +205,7 @@ def hide_noise(scenario: str, seed: int, kind: str) -> Case:
     if kind == "block":
         for channel in here.channels:
             keys = channel.covariates.get("block", np.zeros(len(channel.places)))
-            late = keys > np.median(keys) if len(np.unique(keys)) > 1 else np.arange(len(keys)) > len(keys) / 2
+            late = keys == keys.max() if len(np.unique(keys)) > 1 else np.arange(len(keys)) > len(keys) / 2
             noise[channel.places[late]] *= 2.5
     if kind == "serial":
         memory = g.uniform(0.6, 0.85)

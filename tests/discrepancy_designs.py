@@ -13,7 +13,7 @@ import numpy as np
 
 from calib import Problem, predict
 from calib.geometry import Transform
-from calib.units import arcsec, degree, minute, mm, um
+from calib.units import arcsec, degree, minute, mm, nm, um
 from instruments import laser_tracker
 from problems import axis_points, base_point, base_point_lines, plumb, turntable
 from problems.circle import in_plane
@@ -159,15 +159,15 @@ def tracker(g: Generator) -> Design:
 
 
 def lines(g: Generator) -> Design:
-    """Three to six lines of a machine, some of them zeroed anew, there and back."""
+    """Three to six lines of a machine, there and back, and in every third design a fine one of a micrometre."""
     size = g.uniform(0.4, 0.9, 3)
     corners = [((0, 0, 0), 0), ((1, 0, 0), 1), ((1, 1, 0), 2), ((0, 1, 0), 0), ((0, 0, 1), 1), ((0, 0, 0), 2)]
     chosen = [corners[i] for i in ([0, 1, 2] if g.random() < 0.4 else sorted(g.choice(6, g.integers(3, 7), False)))]
-    points, along, blocks, way, line, zeroing, speed = [], [], [], [], [], [], []
+    points, along, blocks, way, line, zeroing, speed, sigma = [], [], [], [], [], [], [], []
+    chosen = [(*one, False) for one in chosen] + ([((0.5, 0.5, 0), 0, True)] if g.random() < 0.35 else [])
     count = int(g.integers(10, 18))
-    for number, (corner, axis) in enumerate(chosen, 1):
-        run = np.linspace(0.02, 0.98, count)
-        fine = number > 3 and g.random() < 0.3
+    for number, (corner, axis, fine) in enumerate(chosen, 1):
+        run = 0.5 + np.linspace(0, 1.3 * um, 24) / size[axis] if fine else np.linspace(0.02, 0.98, count)
         for way_now in (1, -1):
             for s in run if way_now == 1 else run[::-1]:
                 p = np.array(corner, float) * size
@@ -178,8 +178,9 @@ def lines(g: Generator) -> Design:
                 way.append(way_now)
                 line.append(f"{'xyz'[axis].upper()}{number}")
                 zeroing.append(line[-1] if fine else "long")
-                speed.append(way_now * [0.0, 4.0, 10.0][number % 3] * mm)
-    points, along, blocks, way = map(np.array, (points, along, blocks, way))
+                speed.append(0.0 if fine else way_now * [0.0, 4.0, 10.0][number % 3] * mm)
+                sigma.append((10 * nm, 2 * nm) if fine else (0.6 * um, 0.3 * um))
+    points, along, blocks, way, sigma = map(np.array, (points, along, blocks, way, sigma))
     time = _time(g, len(points), 16)
     cov = {"line": np.array(line), "block": blocks, "direction": way, **base_point_lines.directions(way, along),
            "time": (time, "s"), "temperature_difference": (_temperature(g, time), "K"),
@@ -196,8 +197,8 @@ def lines(g: Generator) -> Design:
             given = np.zeros(len(points))
             for z in dict.fromkeys(zeroing):
                 given[np.array(zeroing) == z] = np.ravel(readings[group(z)])
-        laid = base_point_lines.Lines(points, given, 0.6 * um, along, 0.3 * um, velocity=velocity, zeroing=zeroing,
-                                      covariates=cov)
+        laid = base_point_lines.Lines(points, given, sigma[:, 0], along, sigma[:, 1], velocity=velocity,
+                                      zeroing=zeroing, covariates=cov)
         problem = base_point.declare(laid, base_point.FreeStart(), base_point.ProjectedCoordinates(), begin=base)
         return base_point.with_recorded_effects(problem, laid, size / 2, size / 2)
 
@@ -210,7 +211,7 @@ def lines(g: Generator) -> Design:
 
 def locators(g: Generator, poses: int | None = None) -> Design:
     """Poses of a part on three locators with a tracker on four to six targets."""
-    n = poses or int(g.integers(10, 20))
+    n = poses or int(g.integers(18, 30))
     setup = Setup(tuple(Locator(k, Frames.with_levers((x + g.normal(0, 0.1), y, 1.0), g.uniform(0.5, 0.9), 0.35),
                                 np.array([x, y, 0.0]))
                         for k, x, y in (("A", 1.44, 0.0), ("B", -0.72, 0.59), ("C", -0.72, -0.59))),

@@ -17,8 +17,8 @@ from problems import plumb
 BESIDE = Path(__file__).parents[2] / "shared" / "reference_data"
 EXAMPLES = Path(os.environ.get("CALIB_REFERENCE_DATA", BESIDE)).parent / "discrepancy_examples"
 CASES = sorted(path.name for path in EXAMPLES.glob("example_*")) if EXAMPLES.is_dir() else []
-KEYS = {"format", "case", "verdict", "p_value", "effects", "outlier_rows", "noise_factor", "rms", "heldout_rms", "where",
-        "structure", "hidden", "next_measurement"}
+KEYS = {"format", "case", "verdict", "p_value", "effects", "outlier_rows", "noise_factor", "rms", "heldout_rms",
+        "where", "structure", "hidden", "next_measurement"}
 
 
 @pytest.mark.skipif(not CASES, reason="the public cases are not beside the reference data")

@@ -121,22 +121,22 @@ def _heavy(left: Field, dof: int, price: float) -> Noise:
 
 def _serial(left: Field, channels: Sequence[Channel], dof: int, price: float) -> Noise:
     """First-order serial correlation of free size within every channel."""
-    n, share = len(left.residual), dof / len(left.residual)
-    steps = sum(max(len(c.places) - 1, 0) for c in channels)
-    quick = [_likelihood(lagged(left.residual[:, None], channels, c)[:, 0], steps, c, n) for c in CORRELATIONS]
+    steps = sum(max(len(c.places) - 1, 0) for c in channels) * dof / len(left.residual)
+    quick = [_likelihood(lagged(left.residual[:, None], channels, c)[:, 0], steps, c, dof) for c in CORRELATIONS]
     near = CORRELATIONS[int(np.argmin(quick))]
-    best, correlation = min(quick) * share, float(near)
+    best, correlation = min(quick), float(near)
     if abs(near) > 0.15:
         # Residuals of a fit look less correlated than the noise was: judge the fit that knows the correlation.
         for trial in sorted({near, *(min(near + more, 0.97) for more in (0.1, 0.2, 0.3) if near > 0)}):
             basis = np.linalg.qr(lagged(left.basis, channels, trial))[0]
             right = lagged(left.residual[:, None], channels, trial)[:, 0]
             right = right - basis @ (basis.T @ right)
-            best, correlation = min((best, correlation), (_likelihood(right, steps, trial, n) * share, float(trial)))
+            best, correlation = min((best, correlation), (_likelihood(right, steps, trial, dof), float(trial)))
     where = f"correlation {correlation:.2f} from one to the next"
-    return Noise(SERIAL, best + 2 * price, np.ones(n), correlation, where)
+    return Noise(SERIAL, best + 2 * price, np.ones(len(left.residual)), correlation, where)
 
 
-def _likelihood(whitened: Array, steps: int, correlation: float, n: int) -> float:
-    variance = max(float(whitened @ whitened) / n, BOUND)
-    return n * np.log(variance) + n + steps * np.log(1 - correlation**2)
+def _likelihood(whitened: Array, steps: float, correlation: float, dof: int) -> float:
+    squares = float(whitened @ whitened)
+    variance = max(squares / dof, BOUND)
+    return dof * np.log(variance) + squares / variance + steps * np.log(1 - correlation**2)

@@ -26,8 +26,8 @@ def held_out_rows(job: Job, problem: Problem) -> tuple[dict[str, NDArray[np.bool
         if any(mask.any() for mask in check.values()):
             return check, ""
         return {}, "No row is marked `check`, so the gap is judged on the rows of the fit only."
-    unknowns = sum(int((~problem.is_held(u)).sum()) for u in problem.unknowns)
-    readings = sum(np.size(o.readings) for o in observed)
+    unknowns = sum(int(np.sum(~problem.is_held(u))) for u in problem.unknowns)
+    readings = sum(o.readings.size for o in observed if o.readings is not None)
     if readings * (1 - 1 / EVERY) < PER_UNKNOWN * unknowns:
         return {}, (f"{readings} readings for {unknowns} unknowns are too few to hold any out: the gap is judged on "
                     "the rows of the fit only. Read further positions, and mark them `check` in a column `split`.")

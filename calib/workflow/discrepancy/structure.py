@@ -15,6 +15,7 @@ from calib.workflow.discrepancy.readings import Channel
 from calib.workflow.discrepancy.search import corrected, tail
 
 HARMONICS = (1, 2, 3, 4, 5, 6)
+WAVES = (1, 2, 3, 4, 5, 6)  # whole waves over the range of a covariate that is no angle
 DEGREES = 5  # of the polynomials over one covariate
 FEW = 12  # different values up to which a covariate is taken level by level
 SPLIT_BY = 6  # different keys up to which a channel is also looked at key by key
@@ -92,15 +93,25 @@ def _shapes(values: NDArray, unit: str) -> Iterator[tuple[str, Array]]:
         orders = [o for o in HARMONICS if len(levels) > 2 * o]
         for order in orders:
             yield f"harmonic {order}", np.stack([np.cos(order * numbers), np.sin(order * numbers)], axis=1)
+    scaled = _scaled(numbers)
+    if len(levels) > 4:
+        yield "cubic", np.polynomial.legendre.legvander(scaled, 3)[:, 1:]
     if len(levels) <= FEW:
         yield "level", (numbers[:, None] == levels).astype(float)
+        if len(levels) > 3:
+            yield "trend", scaled[:, None]
+            yield "curve", (scaled**2)[:, None]
         return
-    scaled = _scaled(numbers)
     yield "smooth", np.polynomial.legendre.legvander(scaled, DEGREES)[:, 1:]
     if len(levels) > 4 * DEGREES:
         yield "fine", np.polynomial.legendre.legvander(scaled, 2 * DEGREES)[:, 1:]
     yield "trend", scaled[:, None]
     yield "curve", (scaled**2)[:, None]
+    if unit not in ("rad", "deg"):
+        for order in WAVES:
+            if len(levels) > 3 * order:
+                turns = np.pi * order * scaled
+                yield f"{order} waves over the range", np.stack([np.cos(turns), np.sin(turns)], axis=1)
     yield "pieces", (np.digitize(scaled, np.linspace(-1, 1, 9)[1:-1])[:, None] == np.arange(8)).astype(float)
 
 
@@ -166,9 +177,9 @@ class Screen:
 
     def places(self) -> list[Place]:
         """The patterns as places, most significant first, their p-values corrected for the number of looks."""
-        found = []
+        found: list[tuple[float, float, Place]] = []
         if not self.shapes:
-            return found
+            return []
         for shape, drop, dof in zip(self.shapes, self.drops(self.field.residual[:, None])[:, 0], self.dofs,
                                     strict=True):
             left = self.field.dof - int(dof)
