@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from declared import line, network
+from shipped import example
 
 from calib import (
     Constraint,
@@ -19,7 +20,12 @@ from calib import (
     simulate,
     solve,
 )
+from calib.compiled import available, row_back_end
 from calib.errors import CalibrationError
+from calib.linearisation import linearise_system
+from calib.system import System
+from calib.workflow.montecarlo import Adaptive
+from calib.workflow.trials import BLOCK, LargeTrials, SmallTrials, trials_of
 
 
 def agree(found, stated, trials):
@@ -117,3 +123,109 @@ def test_linear_propagation_is_reported_beside_the_samples():
     problem, offset, slope = line(readings=np.arange(5.0))
     estimate = solve(problem.with_quantities(Quantity("end", lambda a, b: a + 9 * b, offset, slope)))
     assert montecarlo(estimate, 10, seed=1).linear_u == pytest.approx(covariance(linearise(estimate)).u)
+
+
+# --- blocks, threads, back ends ----------------------------------------------------------------------------------
+
+
+def circle_estimate(seed=1):
+    return solve(example("problems.circle", seed))
+
+
+@pytest.mark.parametrize("name", ["problems.circle", "problems.base_point", "problems.plumb"])
+def test_a_trial_written_out_as_one_row_is_the_trial_solved_with_stored_derivatives(name):
+    estimate = solve(example(name))
+    system, truth = System(estimate.problem), dict(estimate.values)
+    fit, chosen = linearise_system(system, truth), estimate.problem.quantities
+    u = covariance(fit).u
+    small, large = (kind.sample(7, 0, 100) for kind in (
+        SmallTrials(system, fit, truth, chosen, 100), LargeTrials(system, fit, truth, chosen)))
+    assert small[1].all() and large[1].all()
+    assert np.abs((small[0] - large[0]) / u).max() < 1e-6
+
+
+def test_held_quantities_are_drawn_alike_by_both_kinds_of_trials():
+    x = np.arange(5.0)
+    a, b, c = Unknown("a", 1.0), Unknown("b", 1.0), Unknown("c", 0.5)
+    problem = Problem(
+        [Observations(lambda a, b, c, x: a * ca.exp(b * x / 10) + ca.sin(c * x), a, b, c, x, readings=1 + x, u=0.01),
+         prior(c, 0.5, 0.05)], quantities=[Quantity("b", lambda b: b, b)], held=[c])
+    estimate = solve(problem)
+    system, truth = System(problem), dict(estimate.values)
+    fit = linearise_system(system, truth)
+    (small, _), (large, _) = (kind.sample(8, 3, 2000) for kind in (
+        SmallTrials(system, fit, truth, problem.quantities, 2000), LargeTrials(system, fit, truth, problem.quantities)))
+    u = covariance(fit).u
+    # the two draw several groups in different orders, so that the spread alone is alike
+    assert agree(small.std(axis=0, ddof=1), large.std(axis=0, ddof=1), 1000)
+    assert agree(small.std(axis=0, ddof=1), u, 200)
+
+
+def test_threads_and_the_split_into_blocks_change_no_sample(monkeypatch):
+    estimate, trials = circle_estimate(), 2 * BLOCK + 300
+    monkeypatch.setenv("CALIB_THREADS", "1")
+    alone = montecarlo(estimate, trials, seed=9).samples
+    monkeypatch.setenv("CALIB_THREADS", "3")
+    np.testing.assert_array_equal(montecarlo(estimate, trials, seed=9).samples, alone)
+    system, truth = System(estimate.problem), dict(estimate.values)
+    ready = trials_of(system, linearise_system(system, truth), truth, estimate.problem.quantities, trials)
+    backwards = [ready.sample(9, number, count)[0] for number, count in ((2, 300), (1, BLOCK), (0, BLOCK))]
+    np.testing.assert_array_equal(np.concatenate(backwards[::-1]), alone)
+
+
+def test_a_longer_run_begins_with_the_shorter_one():
+    estimate = circle_estimate()
+    shorter, longer = (montecarlo(estimate, trials, seed=10).samples for trials in (BLOCK, BLOCK + 700))
+    np.testing.assert_array_equal(longer[:BLOCK], shorter)
+    assert len(np.unique(longer[:, 0])) == len(longer)
+
+
+@pytest.mark.skipif(not available(), reason="llvmlite is not installed")
+def test_compiled_trials_are_those_of_numpy(monkeypatch, tmp_path):
+    monkeypatch.setenv("CALIB_CACHE", str(tmp_path))
+    estimate = circle_estimate()
+    with row_back_end("numpy"):
+        first = montecarlo(estimate, 3000, seed=11)
+    with row_back_end("compiled"):
+        second = montecarlo(estimate, 3000, seed=11)
+    assert first.failures == second.failures == 0
+    assert np.abs((first.samples - second.samples) / first.linear_u).max() < 1e-6
+
+
+def test_a_trial_that_finds_no_solution_is_counted_and_left_out():
+    # the readings 0.05 +- 0.1 of exp(a) are negative in a third of the trials: a then runs away to minus infinity
+    a = Unknown("a", np.log(0.05))
+    observed = Observations(lambda a: ca.exp(a), a, readings=[0.05], u=0.1)
+    problem = Problem([observed], quantities=[Quantity("a", lambda a: a, a)])
+    result = montecarlo(solve(problem), 3000, seed=12)
+    assert len(result.samples) + result.failures == 3000
+    assert result.failures > 500
+    assert np.all(np.isfinite(result.samples))
+
+
+# --- adaptive number of trials ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("digits", "u", "tolerance"), [(2, 0.35e-3, 0.005e-3), (1, 0.4e-3, 0.05e-3), (1, 2.0, 0.5),
+                                                        (2, 0.0996, 0.005), (2, 0.0, 0.0)])
+def test_the_numerical_tolerance_is_that_of_the_examples_of_the_guide(digits, u, tolerance):
+    assert Adaptive(digits=digits).tolerance(np.array([u])) == pytest.approx([tolerance])
+
+
+def test_trials_go_on_until_the_digits_stand_still():
+    problem, offset, slope = line(readings=np.arange(5.0))
+    estimate = solve(problem.with_quantities(Quantity("end", lambda a, b: a + 9 * b, offset, slope)))
+    result = montecarlo(estimate, Adaptive(digits=1), seed=13)
+    assert result.stability.reached and np.all(result.stability.spread <= result.stability.tolerance[:, None])
+    assert len(result.samples) >= 20_000 and len(result.samples) % 10_000 == 0
+    more = montecarlo(estimate, Adaptive(digits=2), seed=13)
+    assert more.stability.reached and len(more.samples) > len(result.samples)
+    np.testing.assert_array_equal(more.samples[: len(result.samples)], result.samples)
+    assert np.abs(more.u - more.linear_u) <= 2 * more.stability.tolerance
+
+
+def test_a_limit_of_trials_is_kept_and_said():
+    problem, offset, _ = line(readings=np.arange(5.0))
+    estimate = solve(problem.with_quantities(Quantity("offset", lambda a: a, offset)))
+    result = montecarlo(estimate, Adaptive(digits=4, largest=30_000), seed=14)
+    assert len(result.samples) == 30_000 and not result.stability.reached

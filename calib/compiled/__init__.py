@@ -10,10 +10,9 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,9 @@ from numpy.typing import NDArray
 from calib.compiled.intermediate import Instruction
 from calib.compiled.machine import available, cache_folder, compiler
 from calib.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from concurrent.futures import ThreadPoolExecutor
 
 __all__ = ["CompiledRows", "Instruction", "available", "cache_folder", "pays", "row_back_end", "threads"]
 
@@ -129,4 +131,6 @@ class CompiledRows:
 
 @cache
 def _pool() -> ThreadPoolExecutor:
+    from concurrent.futures import ThreadPoolExecutor
+
     return ThreadPoolExecutor(threads(), thread_name_prefix="rows")

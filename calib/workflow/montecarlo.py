@@ -136,16 +136,16 @@ def montecarlo(
     linear = covariance(fit, *[_as_functions(system, q, truth) for q in chosen])
     limit = trials.largest if isinstance(trials, Adaptive) else trials
     ready = trials_of(system, fit, truth, chosen, min(limit, USUAL) if isinstance(trials, Adaptive) else trials)
-    stability, done, failures, samples = None, 0, 0, []
+    watch = _Watch(trials) if isinstance(trials, Adaptive) else None
+    done, failures, samples = 0, 0, []
     for found, good in _blocks(ready, limit, seed):
         samples.append(found if good.all() else found[good])
         failures += int(np.sum(~good))
         done += len(good)
         progress(done)
-        if isinstance(trials, Adaptive) and done >= 2 * trials.lot and (done % trials.lot < len(good) or done == limit):
-            stability = _stability(trials, np.concatenate(samples))
-            if stability.reached:
-                break
+        if watch is not None and watch.stands(samples[-1]):
+            break
+    stability = None if watch is None else watch.stability
     return MonteCarlo(
         linear.names, linear.units, np.concatenate(samples), failures, linear.values, linear.u, stability
     )
@@ -184,14 +184,31 @@ def _ahead(
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _stability(wanted: Adaptive, samples: Array) -> Stability:
-    """How far mean, u and ends of the coverage interval of the lots differ; JCGM 101:2008, 7.9.4 e) to j)."""
-    lots = [samples[i : i + wanted.lot] for i in range(0, len(samples) - wanted.lot + 1, wanted.lot)]
-    tail = (1 - wanted.probability) / 2
-    seen = np.array([[lot.mean(axis=0), lot.std(axis=0, ddof=1), *np.quantile(lot, [tail, 1 - tail], axis=0)]
-                     for lot in lots])
-    spread = 2 * seen.std(axis=0, ddof=1).T / np.sqrt(len(lots))
-    return Stability(wanted.tolerance(samples.std(axis=0, ddof=1)), spread)
+class _Watch:
+    """How far mean, u and both ends of the interval differ from lot to lot; JCGM 101:2008, 7.9.4 b) to k)."""
+
+    def __init__(self, wanted: Adaptive):
+        self._wanted = wanted
+        self._seen: list[list[Array]] = []
+        self._waiting: list[Array] = []
+        self.stability: Stability | None = None
+
+    def stands(self, samples: Array) -> bool:
+        """Whether all results stand still, with these samples besides."""
+        self._waiting.append(samples)
+        if sum(len(w) for w in self._waiting) < self._wanted.lot:
+            return False
+        lot, self._waiting = np.concatenate(self._waiting), []
+        tail = (1 - self._wanted.probability) / 2
+        ends = np.quantile(lot, [tail, 1 - tail], axis=0)
+        self._seen.append([lot.mean(axis=0), lot.std(axis=0, ddof=1), *ends])
+        if len(self._seen) < 2:
+            return False
+        seen: Array = np.array(self._seen)  # (lots, 4, k)
+        u = np.sqrt((seen[:, 1] ** 2).mean(axis=0) + seen[:, 0].var(axis=0))
+        spread = 2 * seen.std(axis=0, ddof=1).T / np.sqrt(len(seen))
+        self.stability = Stability(self._wanted.tolerance(u), spread)
+        return self.stability.reached
 
 
 def _as_functions(system: System, quantity: Quantity, truth: dict[Unknown, Array]) -> Functions:

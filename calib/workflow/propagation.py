@@ -1,4 +1,4 @@
-"""Monte Carlo of a solved job in chunks, and whether it bears out the linear result (JCGM 101)."""
+"""Monte Carlo of a solved job, and whether it bears out the linear result (JCGM 101)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from calib.solve.estimate import Estimate
 from calib.unknown import Selection, Unknown
 from calib.workflow.montecarlo import MonteCarlo, montecarlo
 
-CHUNK = 10_000      # trials of one stream of random numbers: the samples depend on the seed and on nothing else
+CHUNK = 10_000      # trials between two steps of a progress bar
 NORMAL_95 = 1.959964
 QUANTILE_SPREAD = 2.67   # standard error of a 2.5% quantile of normal samples, times the root of their number, over u
 
@@ -23,21 +23,21 @@ QUANTILE_SPREAD = 2.67   # standard error of a 2.5% quantile of normal samples, 
 def propagated(
     estimate: Estimate, trials: int, seed: int, quantities: Sequence[Quantity], step: Callable[[], None] = lambda: None
 ) -> MonteCarlo:
-    """Monte Carlo in chunks, each with a stream of its own that follows from the seed.
+    """Monte Carlo that tells how far it is.
 
-    estimate: taken as the truth; trials: how many; seed: of the errors; quantities: to sample; step: called after each
-    chunk.
+    estimate: taken as the truth; trials: how many; seed: of the errors; quantities: to sample; step: called once for
+    each chunk of trials.
     return: all samples together.
     """
-    counts = [min(CHUNK, trials - begin) for begin in range(0, trials, CHUNK)]
-    streams = np.random.SeedSequence(seed).generate_state(len(counts), np.uint64)
-    parts = []
-    for count, stream in zip(counts, streams):
-        parts.append(montecarlo(estimate, count, int(stream), quantities))
-        step()
-    samples = np.concatenate([part.samples for part in parts])
-    failures, first = sum(part.failures for part in parts), parts[0]
-    return MonteCarlo(first.names, first.units, samples, failures, first.linear, first.linear_u)
+    told = 0
+
+    def tell(done: int) -> None:
+        nonlocal told
+        while told * CHUNK < done:
+            told += 1
+            step()
+
+    return montecarlo(estimate, trials, seed, quantities, tell)
 
 
 def sampled(problem: Problem, wanted: Sequence[Any]) -> tuple[Quantity, ...]:

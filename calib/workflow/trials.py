@@ -113,9 +113,9 @@ class SmallTrials:
                 [*local, *readings, *self._programs.scalars], local.shape[1], self._compiled
             )
             local, square = whole[: self._size], whole[self._size]
-            remaining = np.sqrt(np.abs(square))
+            remaining = np.sqrt(np.abs(square))  # of a trial that runs away it is large or not a number
             # steps shrink at least as fast as the last two did: what would come next is beyond all digits
-            done = (remaining < 1e-8) | (remaining * remaining < 1e-10 * previous)
+            done = (remaining < 1e-8) | (remaining < 1e-5 * np.sqrt(previous))
             done |= (remaining < 1e-5) & (remaining > 0.3 * previous)
             if len(open_) == len(good):
                 found = local
