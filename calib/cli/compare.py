@@ -19,7 +19,7 @@ from calib.report import numbers
 @click.option("--draws", type=click.IntRange(2, 100_000), default=100, show_default=True,
               help="Draws for the uncertainty of what has no formula for it.")
 @click.option("--seconds", type=click.FloatRange(0.1), default=10.0, show_default=True,
-              help="For the random starts of each line; what was not tried then is said.")
+              help="Processor time for the random starts of each line; what was not tried then is said.")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
 @problem_file_option
 @output_options

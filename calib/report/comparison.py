@@ -13,6 +13,7 @@ from calib.report.provenance import Provenance
 from calib.report.template import Cell, Drawing, Grid, render
 from calib.workflow.compare.side_by_side import STATED, Compared, Comparison
 
+ANSWERS = 4        # results in the first sentence
 SHOWN = 8          # results whose values stand in the table; comparison.json holds all
 AGREE = 1e-6       # in units of u: methods that differ by less give the same answer
 
@@ -57,9 +58,11 @@ def sentences(comparison: Comparison) -> list[str]:
         return ["No method solves the declared problem: " + "; ".join(why for why in whys if why) + "."]
     same = [line for line in comparison.lines if line.accepted and line.converged and line.difference
             and _largest(line) <= AGREE and line.u_from == STATED]
-    told = [f"{len(same)} of {len([x for x in comparison.lines if x.accepted])} that accept the problem give the same "
+    told = [_answer(comparison, reference)]
+    told += [f"{len(same)} of {len([x for x in comparison.lines if x.accepted])} that accept the problem give the same "
             f"answer to {AGREE:g} u; {len(comparison.refused)} refuse it, and say why."]
-    told += [line.bound.sentence for line in comparison.lines if line.bound is not None]
+    told += [f"{line.formulation.capitalize()}: {line.bound.sentence}" for line in comparison.lines
+             if line.bound is not None]
     other = [line for line in comparison.lines if line.accepted and line.difference and _largest(line) > AGREE]
     if other:
         far = max(other, key=_largest)
@@ -71,7 +74,22 @@ def sentences(comparison: Comparison) -> list[str]:
         told.append(f"{reference.method} found the answer from {starts.successes} of {len(starts.found)} random starts"
                     f"; every start within {numbers.plain(starts.safe, 2)} times the region did (region: "
                     f"{starts.region}).")
+        if starts.elsewhere:
+            told.append(f"{starts.elsewhere} of them arrived at another place with the same v'Pv: a mirror image or a "
+                        "whole turn, between which no reading decides.")
     return told
+
+
+def _answer(comparison: Comparison, reference: Compared) -> str:
+    """The values of the reference with U, k = 2."""
+    parts = []
+    for name, unit in list(zip(comparison.wanted.names, comparison.wanted.units))[:ANSWERS]:
+        if reference.u.get(name, 0.0) > 0.0:
+            one = units.factor(unit)
+            value, expanded = numbers.with_uncertainty(reference.values[name] / one, 2.0 * reference.u[name] / one)
+            parts.append(f"{name} = {value} ± {expanded} {unit}".removesuffix(" 1"))
+    more = len(comparison.wanted.names) - len(parts)
+    return "; ".join(parts) + " (k = 2)" + (f", and {more} more" if more > 0 else "") + "."
 
 
 def _largest(line: Compared) -> float:
@@ -164,6 +182,7 @@ def _differences(comparison: Comparison) -> Drawing | None:
     axes.set_yticks(range(len(lines)), [_called(line) for line in lines])
     axes.invert_yaxis()
     axes.set_xscale("symlog", linthresh=1.0)
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
     axes.set_xlabel("difference from the reference, in units of its u")
     return Drawing.of(figure, "differences", "Every mark is one result; the band is one standard uncertainty.")
 

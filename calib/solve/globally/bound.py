@@ -21,7 +21,7 @@ class Bound:
     @property
     def gap(self) -> float:
         """By which share of the objective (of at least 1e-12) the bound stays below it; never negative."""
-        return max(self.objective - self.lower, 0.0) / max(abs(self.objective), 1e-12)
+        return float(max(self.objective - self.lower, 0.0) / max(abs(self.objective), 1e-12))
 
     @property
     def proven(self) -> bool:
@@ -34,8 +34,8 @@ class Bound:
         if self.proven:
             size = "1e-8" if self.gap > 1e-12 else "1e-12"
             return f"This is the global minimum, proven to a relative gap of {size}: {self.proof}."
-        return (f"Not proven global: no values give v'Pv below {self.lower:.6g}, the answer has {self.objective:.6g}, a "
-                f"relative gap of {self.gap:.1e} (the relaxation is not tight): {self.proof}.")
+        return (f"Not proven global: no values give v'Pv below {self.lower:.6g}, the answer has {self.objective:.6g}, "
+                f"a relative gap of {self.gap:.1e} (the relaxation is not tight): {self.proof}.")
 
 
 def best(*bounds: Bound) -> Bound:

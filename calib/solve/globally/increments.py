@@ -41,11 +41,11 @@ def bisection_bound(points: ArrayLike, changes: ArrayLike, u: ArrayLike, candida
         if not left:      # rounding: the candidate's own interval comes out as no better than the candidate
             return Bound(case.objective, case.objective, "bisection of the unknown length")
         lower = case.convex_between(left[0][1], left[-1][2])
-        if lower is not None:
+        if lower is not None and lower >= min(left)[0]:
             return Bound(lower, case.objective, "bisection of the unknown length, convex in what is left of it")
-        if len(left) > WIDEST:
+        if len(left) > WIDEST:      # a candidate that is not the best leaves many intervals
             break
-    return Bound(min(left)[0], case.objective, "bisection of the unknown length")
+    return Bound(max(min(left)[0], 0.0), case.objective, "bisection of the unknown length")
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ def lower_bound(program: QuadraticProgram, what: str) -> Bound:
     Returns the bound on the objective, with the value at the candidate.
     """
     found = _relaxed(program)
-    lower: float = max(_safe(program, multipliers) for multipliers in (_of(program, found), _stationary(program, found)))
+    lower: float = max(_safe(program, _of(program, found)), _safe(program, _stationary(program, found)))
     return Bound(min(lower, program.constant), program.constant, f"dual of {what}")
 
 

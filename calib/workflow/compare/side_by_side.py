@@ -95,17 +95,18 @@ def methods() -> dict[str, Method]:
 
 
 def compare(declared: Problem, what: Sequence[Any], formulations: Mapping[str, Formulation], effort: Effort = Effort(),
-            start_region: Mapping[str, float] | None = None, step: Callable[[], None] = lambda: None) -> Comparison:
+            start_region: Mapping[str, float] | None = None, step: Callable[[], None] = lambda: None,
+            under: Mapping[str, Method] | None = None) -> Comparison:
     """Compare formulations and methods on one declared problem.
 
     what: results to compare, of the declared problem; formulations: {name: formulation}; effort: how much is tried.
-    start_region: {unknown: half-width, SI} or None; step: called after each line. Returns the comparison; what does
-    not accept the problem has a line that says why.
+    start_region: {unknown: half-width, SI} or None; step: called after each line; under: methods by name, all where
+    None. Returns the comparison; what does not accept the problem has a line that says why.
     """
     wanted = Wanted.of(declared, what)
     reference, estimate = None, None
     lines: list[Compared] = []
-    for name, method in methods().items():
+    for name, method in (under or methods()).items():
         line, found = _by_method(declared, wanted, DECLARED, name, method, estimate, effort)
         if reference is None and line.accepted and line.converged and method.least_squares:
             reference, estimate = line, found

@@ -88,10 +88,10 @@ def region(estimate: Estimate, declared: Mapping[str, float] | None = None) -> R
 
 def starts(problem: Problem, method: Method, best: Estimate, where: Region, count: int, seed: int,
            seconds: float) -> Starts:
-    """Solve from random starts around the best known estimate, near ones first and farther ones later.
+    """Solve from random starts around the best known estimate.
 
-    count: starts; seed: of them; seconds: after which no further start is begun (checked in an order that spreads the
-    starts over all reaches). best: the estimate with the least v'Pv.
+    count: starts; seed: of them; seconds: of the processor, after which no further start is begun; their order mixes
+    near and far. best: the estimate with the least v'Pv. Returns the starts by growing reach.
     """
     system = System(problem)
     layout, free = system.layout, system.layout.free_columns
@@ -100,9 +100,9 @@ def starts(problem: Problem, method: Method, best: Estimate, where: Region, coun
     turning = np.concatenate([np.repeat([[u.kind != "vector"] * u.freedom], u.count, axis=0).ravel() if u.kind != "pose"
                               else np.tile([False] * 3 + [True] * 3, u.count) for u in layout.unknowns])
     u = np.maximum(covariance(linearise(best), *layout.unknowns).u, 1e-300)
-    found, elsewhere, done, begun = np.zeros(count, bool), 0, [], time.perf_counter()
+    found, elsewhere, done, begun = np.zeros(count, bool), 0, [], time.process_time()
     for k in np.random.default_rng(0).permutation(count):
-        if time.perf_counter() - begun > seconds:
+        if time.process_time() - begun > seconds:
             break
         step = np.zeros(layout.size)
         step[free] = reach[k] * where.half_width[free] * directions[k]
