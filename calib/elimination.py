@@ -1,210 +1,19 @@
-"""Factors of the normal equations: dense for small problems, many small blocks eliminated for large ones."""
+"""Elimination: many small blocks leave the normal equations of a large problem before the rest is factored."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.blocks import Array, Block, Part
+from calib.blocks import Array, Block, Index
+from calib.factor import RANK_TOLERANCE, Conditions, DenseFactor, gathered, null_space
 from calib.layout import Layout
+from calib.normal import NormalEquations
 from calib.unknown import Unknown
 
-RANK_TOLERANCE = 1e-12  # of the singular values of the column-scaled derivatives, relative to the largest
 DENSE_SIZE = 250  # unknowns up to which an orthogonal factor of all rows is cheaper than looking for blocks
-Index = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Conditions:
-    """Linear conditions matrix x = target on the free columns; matrix (m, p), target (m,)."""
-
-    matrix: Array
-    target: Array
-
-    @staticmethod
-    def none(size: int) -> Conditions:
-        """No conditions on `size` columns."""
-        return Conditions(np.zeros((0, size)), np.zeros(0))
-
-    def pinned(self, places: Index, values: Array) -> Conditions:
-        """The same with the columns `places` set to values."""
-        rows = np.zeros((len(places), self.matrix.shape[1]))
-        rows[np.arange(len(places)), places] = 1.0
-        return Conditions(np.concatenate([self.matrix, rows]), np.concatenate([self.target, values]))
-
-
-def _null_space(matrix: Array, target: Array) -> tuple[Array, Array]:
-    """Basis (p, q) of the null space of conditions, and the smallest solution (p,) that comes nearest to their
-    target."""
-    size = np.linalg.norm(matrix, axis=1)
-    size[size == 0] = 1.0
-    left, values, right = np.linalg.svd(matrix / size[:, None])
-    rank = int(np.sum(values > RANK_TOLERANCE * max(values[0], 1e-300))) if len(values) else 0
-    particular = right[:rank].T @ ((left[:, :rank].T @ (target / size)) / values[:rank])
-    return right[rank:].T, particular
-
-
-class DenseFactor:
-    """Orthogonal factor of all whitened derivatives within the null space of the conditions.
-
-    derivatives (N, p); residual (N,); conditions; damping: (p,) added to the diagonal of the normal matrix, or None.
-    step: (p,) least-squares step, which is `particular` (p,) to meet the conditions plus `root` times `pull` (rank,);
-    decrement: its size in units of u; null: (p, defect) directions that change no reading; condition: of the scaled
-    derivatives.
-    """
-
-    def __init__(self, derivatives: Array, residual: Array, conditions: Conditions, damping: Array | None = None):
-        self.size = derivatives.shape[1]
-        scale = np.sqrt(np.einsum("ij,ij->j", derivatives, derivatives) + (0.0 if damping is None else damping))
-        self._scale = np.where(scale > 0, scale, 1.0)
-        scaled = derivatives / self._scale
-        self._basis, particular = None, np.zeros(self.size)
-        if len(conditions.target):
-            self._basis, particular = _null_space(conditions.matrix / self._scale, conditions.target)
-            residual = residual - scaled @ particular
-            scaled = scaled @ self._basis
-        width = scaled.shape[1]
-        stacked = np.column_stack([scaled, residual])
-        if damping is not None:
-            springs = np.diag(np.sqrt(damping) / self._scale)
-            springs = springs if self._basis is None else springs @ self._basis
-            stacked = np.concatenate([stacked, np.column_stack([springs, np.zeros(self.size)])])
-        corner = np.asarray(np.linalg.qr(stacked, mode="r")) if len(stacked) > width + 1 else stacked
-        left, self._values, self._right = np.linalg.svd(corner[:, :width], full_matrices=True)
-        largest = self._values[0] if len(self._values) else 1.0
-        self.rank = int(np.sum(self._values > RANK_TOLERANCE * max(largest, 1e-300)))
-        self.pull = left[:, : self.rank].T @ corner[:, width]
-        self.particular = particular / self._scale
-        with np.errstate(over="ignore", invalid="ignore"):  # a column that has all but faded may ask for any step
-            self.step = self.particular + self.root @ self.pull
-        self.decrement = float(np.linalg.norm(self.pull))
-        self.defect = width - self.rank
-        self.condition = (
-            float(largest / self._values[-1])
-            if len(self._values) == width > 0 and not self.defect
-            else (np.inf if self.defect else 1.0)
-        )
-
-    @cached_property
-    def root(self) -> Array:
-        """Matrix (p, rank) whose product with its transpose is the covariance of the free columns."""
-        inner = self._right[: self.rank].T / self._values[: self.rank]
-        outer = inner if self._basis is None else self._basis @ inner
-        return outer / self._scale[:, None]
-
-    @cached_property
-    def null(self) -> Array:
-        """Directions (p, defect) that change no reading and break no condition, in scaled columns' natural units."""
-        inner = self._right[self.rank :].T
-        return (inner if self._basis is None else self._basis @ inner) / self._scale[:, None]
-
-    @cached_property
-    def matrix(self) -> Array:
-        """Covariance (p, p) of the free columns (of the estimable part where there is a defect)."""
-        return self.root @ self.root.T
-
-    def covariance(self, functions: Array) -> Array:
-        """Covariance (k, k) of linear functions (k, p) of the free columns."""
-        mapped = functions @ self.root
-        return mapped @ mapped.T
-
-    def solve(self, right: Array) -> Array:
-        """Inverse normal matrix times right (p, k)."""
-        return self.root @ (self.root.T @ right)
-
-    def between(self, first: Index, second: Index) -> Array:
-        """Covariances (m, f, g) of free columns first (m, f) with second (m, g); -1 stands for a held column."""
-        block = _gathered(self.matrix, first, second)
-        return block * (first >= 0)[:, :, None] * (second >= 0)[:, None, :]
-
-
-def _gathered(matrix: Array, rows: Index, columns: Index) -> Array:
-    """Elements (m, f, g) of a matrix at rows (m, f) and columns (m, g); -1 gathers anything."""
-    return matrix.ravel().take(rows[:, :, None] * matrix.shape[1] + columns[:, None, :], mode="wrap")
-
-
-@dataclass(frozen=True)
-class _Sums:
-    """Normal equations of one eliminated unknown of m instances with f columns, and the S other free columns.
-
-    inner (m, f, f), cross (m, f, S), outer (S, S): blocks of J'J; pull_inner (m, f), pull_outer (S,): J'r.
-    """
-
-    inner: Array
-    cross: Array
-    outer: Array
-    pull_inner: Array
-    pull_outer: Array
-
-    @staticmethod
-    def of(blocks: Sequence[Block], instance: Index, slot: Index, m: int, f: int, size: int) -> _Sums:
-        """Accumulate blocks.
-
-        instance: of every column, m where it is not eliminated; slot: of every column among the others, S where held.
-        """
-        sums = _Sums(
-            np.zeros((m + 1, f, f)),
-            np.zeros((m + 1, f, size + 1)),
-            np.zeros((size + 1, size + 1)),
-            np.zeros((m + 1, f)),
-            np.zeros(size + 1),
-        )  # the last place takes what is held
-        for block in blocks:
-            inside = [p for p in block.parts if _is_eliminated(p, instance, m)]
-            outside = [p for p in block.parts if not _is_eliminated(p, instance, m)]
-            for part in inside:
-                mine = instance[part.columns[:, 0]]
-                np.add.at(sums.pull_inner, mine, _products(part.jacobian, block.residual[:, :, None])[:, :, 0])
-                for other in inside:
-                    np.add.at(sums.inner, mine, _products(part.jacobian, other.jacobian))
-                for other in outside:
-                    places = (mine[:, None] * f + np.arange(f))[:, :, None] * (size + 1) + slot[other.columns][
-                        :, None, :
-                    ]
-                    np.add.at(sums.cross.reshape(-1), places.ravel(), _products(part.jacobian, other.jacobian).ravel())
-            for part in outside:
-                mine = slot[part.columns]
-                np.add.at(sums.pull_outer, mine.ravel(), _products(part.jacobian, block.residual[:, :, None]).ravel())
-                for other in outside:
-                    _add_pairs(sums.outer, mine, slot[other.columns], _products(part.jacobian, other.jacobian))
-        return _Sums(
-            sums.inner[:m],
-            sums.cross[:m, :, :size],
-            sums.outer[:size, :size],
-            sums.pull_inner[:m],
-            sums.pull_outer[:size],
-        )
-
-
-def _is_eliminated(part: Part, instance: Index, m: int) -> bool:
-    return bool(np.any(instance[part.columns[:, 0]] < m))
-
-
-def _products(left: Array, right: Array) -> Array:
-    """Derivatives (n, d, f) and (n, d, g) multiplied row by row: (n, f, g)."""
-    return left.transpose(0, 2, 1) @ right
-
-
-def _add_pairs(matrix: Array, rows: Index, columns: Index, products: Array) -> None:
-    """Add products (n, f, g) at rows (n, f) and columns (n, g), summing first what goes to the same places."""
-    if not (_run_on(rows) and _run_on(columns)):
-        np.add.at(matrix, (rows[:, :, None], columns[:, None, :]), products)
-        return
-    keys = rows[:, 0] * len(matrix) + columns[:, 0]
-    order = np.argsort(keys, kind="stable")
-    first = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    summed = np.add.reduceat(products.reshape(len(products), -1)[order], first, axis=0)
-    chosen = order[first]
-    np.add.at(matrix, (rows[chosen][:, :, None], columns[chosen][:, None, :]), summed.reshape(-1, *products.shape[1:]))
-
-
-def _run_on(places: Index) -> bool:
-    """Whether the first place of every row tells the others, as it does unless some of them are held."""
-    return bool(np.all(places == places[:, :1] + np.arange(places.shape[1])))
 
 
 class EliminatedFactor:
@@ -237,7 +46,7 @@ class EliminatedFactor:
         mine[free] = inside
         instance[mine] = self._slot[layout.position[mine]] // f
         slot[free & ~mine] = self._slot[layout.position[free & ~mine]]
-        sums = _Sums.of(blocks, instance, slot, m, f, others)
+        sums = NormalEquations.of(blocks, instance, slot, m, f, others)
         squares = np.empty(self.size)
         squares[self._inner], squares[self._outer] = np.einsum("mff->mf", sums.inner).ravel(), np.diag(sums.outer)
         springs = np.zeros(self.size) if damping is None else damping
@@ -267,7 +76,7 @@ class EliminatedFactor:
     def _finish(self, normal: Array, target: Array, conditions: Conditions) -> None:
         basis, particular = None, np.zeros(len(self._outer))
         if len(conditions.target):
-            basis, particular = _null_space((conditions.matrix / self._scale)[:, self._outer], conditions.target)
+            basis, particular = null_space((conditions.matrix / self._scale)[:, self._outer], conditions.target)
             target = basis.T @ (target - normal @ particular)
             normal = basis.T @ normal @ basis
         values, axes = np.linalg.eigh(normal) if len(normal) else (np.zeros(0), np.zeros((0, 0)))
@@ -374,11 +183,11 @@ class EliminatedFactor:
         a_inner, b_inner = self._is_inner[first[first >= 0][0]], self._is_inner[second[second >= 0][0]]
         a, b = np.where(first >= 0, self._slot[first], 0), np.where(second >= 0, self._slot[second], 0)
         if not a_inner and not b_inner:
-            block = _gathered(self._outer_covariance, a, b)
+            block = gathered(self._outer_covariance, a, b)
         elif a_inner and not b_inner:
-            block = _gathered(self._cross_covariance, a, b)
+            block = gathered(self._cross_covariance, a, b)
         elif b_inner and not a_inner:
-            block = _gathered(self._cross_covariance, b, a).transpose(0, 2, 1)
+            block = gathered(self._cross_covariance, b, a).transpose(0, 2, 1)
         elif first.shape == second.shape and np.array_equal(a, b):
             block = self._inner_covariance[a[:, 0] // self._freedom]
         else:
@@ -397,32 +206,6 @@ class EliminatedFactor:
 
 
 Factor = DenseFactor | EliminatedFactor
-
-
-def sparse_rows(blocks: Sequence[Block], layout: Layout):  # type: ignore[no-untyped-def]
-    """All whitened derivatives as one sparse matrix (N, p) over the free columns, and the residuals (N,)."""
-    from scipy import sparse
-
-    data, rows, columns, residuals, begin = [], [], [], [], 0
-    for block in blocks:
-        m, d = block.residual.shape
-        numbers = begin + np.arange(m * d).reshape(m, d)
-        for part in block.parts:
-            place = np.broadcast_to(layout.position[part.columns][:, None, :], part.jacobian.shape)
-            row = np.broadcast_to(numbers[:, :, None], part.jacobian.shape)
-            kept = (place >= 0).ravel()
-            whole = bool(kept.all())
-            data.append(part.jacobian.ravel() if whole else part.jacobian.ravel()[kept])
-            rows.append(row.ravel() if whole else row.ravel()[kept])
-            columns.append(place.ravel() if whole else place.ravel()[kept])
-        residuals.append(block.residual.ravel())
-        begin += m * d
-    shape = (begin, len(layout.free_columns))
-    if not data:
-        return sparse.csr_matrix(shape), np.concatenate(residuals)
-    return sparse.csr_matrix(
-        (np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape
-    ), np.concatenate(residuals)
 
 
 def _eliminable(blocks: Sequence[Block], layout: Layout, conditions: Conditions) -> Unknown | None:

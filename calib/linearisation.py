@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from calib.blocks import Array, Block, Part
 from calib.effect import Effect
-from calib.elimination import Conditions, Factor, factorise, sparse_rows
+from calib.elimination import Factor, factorise
 from calib.errors import DeclarationError
+from calib.factor import Conditions
 from calib.layout import Layout
+from calib.normal import sparse_rows
 from calib.observations import Quantity
 from calib.problem import Problem
 from calib.system import System

@@ -5,7 +5,8 @@ import pytest
 from declared import network
 
 from calib import Constraint, elimination, estimability, linearise, prior, reliability
-from calib.elimination import DenseFactor, EliminatedFactor
+from calib.elimination import EliminatedFactor
+from calib.factor import DenseFactor
 from calib.linearisation import linearise as linearise_problem
 
 

@@ -112,9 +112,9 @@ def _null_basis(fit: Linearisation) -> Array:
     size = len(fit.layout.free_columns)
     if not len(fit.conditions.target):
         return np.eye(size)
-    from calib.elimination import _null_space
+    from calib.factor import null_space
 
-    return _null_space(fit.conditions.matrix, fit.conditions.target)[0]
+    return null_space(fit.conditions.matrix, fit.conditions.target)[0]
 
 
 def _sums(fit: Linearisation, groups: Sequence[str], basis: Array) -> tuple[Array, Array, float, int]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calib.blocks import Array
 from calib.effect import Effect
-from calib.elimination import DenseFactor
+from calib.factor import DenseFactor
 from calib.linearisation import Linearisation
 from calib.unknown import Selection, Unknown
 

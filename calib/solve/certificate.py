@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.blocks import Array
-from calib.elimination import DenseFactor, Factor
+from calib.elimination import Factor
+from calib.factor import DenseFactor
 from calib.linearisation import Linearisation
 from calib.system import System, Values
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from calib.blocks import Array
-from calib.elimination import sparse_rows
 from calib.errors import CalibrationError, MethodRefusal
 from calib.layout import Layout
+from calib.normal import sparse_rows
 from calib.solve.affine import Limits, not_affine, within
 from calib.solve.limits import WRONG, set_to_bounds
 from calib.solve.loss import L1, Huber, LeastSquares, Loss, MinimumZone

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.blocks import Array, Block
-from calib.elimination import Conditions, DenseFactor, factorise
+from calib.elimination import factorise
 from calib.errors import ModelBreakdown
+from calib.factor import Conditions, DenseFactor
 from calib.layout import Layout
 from calib.solve.method import Method, Outcome, missing_readings
 from calib.system import System, Values

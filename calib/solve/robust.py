@@ -15,8 +15,8 @@ import numpy as np
 from scipy.special import erf
 
 from calib.blocks import Array
-from calib.elimination import _null_space
 from calib.errors import CalibrationError
+from calib.factor import null_space
 from calib.linearisation import Group, Linearisation, linearise
 from calib.problem import Problem
 from calib.solve.estimate import Estimate, solve
@@ -75,7 +75,7 @@ class RobustEstimate:
         rows, _ = self.fit.rows
         basis = np.eye(rows.shape[1])
         if len(self.fit.conditions.target):
-            basis = _null_space(self.fit.conditions.matrix, self.fit.conditions.target)[0]
+            basis = null_space(self.fit.conditions.matrix, self.fit.conditions.target)[0]
         inner = rows @ basis
         slope = inner.T @ (self.influence[:, None] * inner)
         try:

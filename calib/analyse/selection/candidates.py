@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from calib import units
 from calib.blocks import Array
 from calib.defect import defect_in_words
-from calib.elimination import DenseFactor
 from calib.errors import InputError, RankDefect
+from calib.factor import DenseFactor
 from calib.linearisation import Functions, Linearisation
 from calib.observations import Observations
 
