@@ -27,12 +27,12 @@ class Hidden:
 
 
 def aliases(
-    field: Field, chosen: Sequence[int], values: dict[int, Array], columns: Sequence[Array]
+    field: Field, chosen: Sequence[int], values: dict[int, Array], columns: Sequence[Array], estimated: bool = True
 ) -> dict[int, list[int]]:
     """For each chosen candidate the others that could stand in its place.
 
     field: nominal field; chosen: places of the chosen candidates; values: their parameters (k,) SI; columns: of all
-    candidates (n, k) over all whitened rows. A stand-in raises the sum of squares by an expected 4 or less.
+    candidates (n, k) over all whitened rows; estimated: whether the values are estimates or true. A stand-in raises the sum of squares by an expected 4 or less.
     """
     found: dict[int, list[int]] = {}
     for one in chosen:
@@ -42,14 +42,18 @@ def aliases(
             together = np.concatenate(others, axis=1)
             frame = orthonormal(field.outside(together), np.linalg.norm(together, axis=0))
         bare = field.taking(frame)
-        signal = bare.outside(columns[one] @ values[one])
+        own = bare.outside(columns[one])
+        signal = own @ values[one]
+        directions = orthonormal(own, field.sizes[one])
         found[one] = []
         for other in range(len(columns)):
             if other in chosen or not field.frames[other].shape[1]:
                 continue
             stand_in = orthonormal(bare.outside(columns[other]), field.sizes[other])
             left = signal - stand_in @ (stand_in.T @ signal)
-            if float(left @ left) <= RAISES:
+            # The estimate holds noise of its own, one unit for each direction that the other does not share.
+            noise = directions.shape[1] - float(np.sum((stand_in.T @ directions) ** 2))
+            if float(left @ left) - estimated * noise <= RAISES:
                 found[one].append(other)
     return found
 
