@@ -1,8 +1,9 @@
 """Survey networks: points and instruments that see one another, adjusted together, with any datum.
 
 Distances, directions, angles, azimuths, zenith angles, height differences, vectors and coordinates, with full
-covariance; points fixed, adjusted, or the constrained ones of a free network. Reads the .gkf files of GNU Gama and
-tables. Start values, if none are given, are found from the readings.
+covariance; laser trackers with six degrees of freedom, and interferometers of unknown base point. Points are fixed,
+adjusted, or the constrained ones of a free network. Reads the .gkf files of GNU Gama and tables. Start values, if none
+are given, are found from the readings.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from problems.network.effects import effects
 from problems.network.example import example, example_job
 from problems.network.gkf import read_gkf
 from problems.network.start import positions
+from problems.network.stations import Ranging, Sightings
 from problems.network.survey import Batch, Correlated, Point, Survey
 from problems.network.tables import columns, options, read_tables
 
@@ -46,6 +48,8 @@ __all__ = [
     "Batch",
     "Correlated",
     "Point",
+    "Ranging",
+    "Sightings",
     "Survey",
     "advice",
     "checked",

@@ -29,8 +29,9 @@ def checked(survey: Survey) -> Survey:
     """
     _joined(survey)
     _enough(survey)
+    read = survey.read
     unread = [key for key, point in survey.points.items()
-              if {ADJUSTED, CONSTRAINED} & {point.plane, point.height} and key not in _readings_of(survey)]
+              if {ADJUSTED, CONSTRAINED} & {point.plane, point.height} and key not in read]
     if unread:
         survey = replace(survey, remarks=(
             *survey.remarks, f"Point {named(unread)} is to be adjusted and nothing reads it: it has no result. Add "
@@ -50,6 +51,9 @@ def _readings_of(survey: Survey) -> dict[str, int]:
             settings = np.asarray(batch.orientation).astype(str).tolist()
             for station in dict(zip(settings, batch.ends[0].tolist(), strict=True)).values():
                 count[station] -= 1
+    for seen, dim in (*((one, 3) for one in survey.sightings), *((one, 1) for one in survey.ranging)):
+        for key, times in zip(*np.unique(np.asarray(seen.target).astype(str), return_counts=True), strict=True):
+            count[str(key)] = count.get(str(key), 0) + int(times) * dim
     return count
 
 
@@ -80,14 +84,18 @@ def _joined(survey: Survey) -> None:
         links += [(0, i) for i in ends[0]] if len(ends) == 1 else []
         for other in ends[1:]:
             links += list(zip(ends[0], other, strict=True))
+    instruments = [(s.station, s.target) for s in survey.sightings] + [(r.instrument, r.target) for r in survey.ranging]
+    for of, targets in instruments:                        # an instrument joins its targets, as a node of its own
+        node: dict[str, int] = {}
+        for key, target in zip(*(np.asarray(k).astype(str).tolist() for k in (of, targets)), strict=True):
+            links.append((node.setdefault(key, place[target]), place[target]))
     if not links:
         return
     i, j = np.array(links).T
     size = len(place) + 1
     label = connected_components(coo_matrix((np.ones(len(i)), (i, j)), (size, size)), directed=False)[1]
-    read = _readings_of(survey)
     sets: dict[int, list[str]] = {}
-    for key in read:
+    for key in sorted(survey.read):
         sets.setdefault(int(label[place[key]]), []).append(key)
     anchored = label[0] in sets
     alone = {k: keys for k, keys in sets.items() if k != label[0]} if anchored else sets

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from calib import Gaussian, Observations, Problem, Shared, Unknown, direct
+from calib import Gaussian, Observations, Pose, Problem, Shared, Unknown, direct
 from calib.effect import slots_of
 from calib.errors import InputError
-from problems.network import datum
-from problems.network.models import KINDS
+from problems.network import datum, stations
 from problems.network.survey import ADJUSTED, CONSTRAINED, FIXED, Batch, Correlated, Survey
 
 
@@ -20,9 +19,10 @@ def declare(survey: Survey) -> Problem:
     """Declare the adjustment of a surveyed network at the positions that its points have.
 
     survey: points, each with a position (`start.positions` finds missing ones), and readings.
-    Returns the problem with unknowns `point` (the coordinates the network has) and `orientation` (of each setting of a
-    circle). Fixed coordinates are held. Where points are constrained and the readings leave the datum open, the
-    condition `datum` keeps these points, as a whole, where they are.
+    Returns the problem with unknowns `point` (the coordinates the network has), `orientation` (of each setting of a
+    circle), `station` (of trackers) and `interferometer` (base point and dead path). Fixed coordinates are held. Where
+    points are constrained and the readings leave the datum open, the condition `datum` keeps these points, as a whole,
+    where they are.
     Raises InputError where a point without position takes part.
     """
     problem, point, chosen = _free(survey)
@@ -52,7 +52,7 @@ def settle(survey: Survey) -> Survey:
 
 def _free(survey: Survey) -> tuple[Problem, Unknown, Any]:
     parts = survey.parts
-    read = {key for batch in survey.every_batch for keys in batch.ends for key in keys.tolist()}
+    read = survey.read
     keys = [key for key in survey.points if key in read]
     roles = np.array([[survey.points[key].role(part) for part in parts] for key in keys])
     places = np.array([[survey.points[key].position["xyz".index(part)] for part in parts] for key in keys])
@@ -68,12 +68,26 @@ def _free(survey: Survey) -> tuple[Problem, Unknown, Any]:
     place = {key: i for i, key in enumerate(keys)}
     observations = [_observations(batch, survey, point, place, orientation) for batch in survey.batches if len(batch)]
     observations += [_jointly(cluster, survey, point, place, orientation) for cluster in survey.correlated]
+    positions = dict(zip(keys, places, strict=True))
+    station = stations.poses(survey.sightings, positions)
+    base = stations.bases(survey.ranging, positions)
+    observations += stations.observations(survey.sightings, survey.ranging, point, station, base)
     problem = Problem(observations, name=survey.name)
     free = np.isin(roles, (ADJUSTED, CONSTRAINED))
     problem = problem.hold(
         *(point[np.flatnonzero(~free[:, j])].part(part) for j, part in enumerate(parts) if not free[:, j].all())
     )
+    if station is not None:
+        problem = problem.hold(*_stations_held(survey, station, roles))
     return problem, point, roles == CONSTRAINED
+
+
+def _stations_held(survey: Survey, station: Pose, roles: Any) -> list[Any]:
+    """The tilts of levelled stations, and the first station where nothing else is a datum."""
+    level = {key for batch in survey.sightings if batch.levelled for key in np.asarray(batch.station).tolist()}
+    held = [station[i].part("rx", "ry") for i, key in enumerate(station.keys) if key in level]
+    observed = any(batch.model.points == 1 for batch in survey.every_batch)
+    return held if observed or np.isin(roles, (FIXED, CONSTRAINED)).any() else [*held, station[0]]
 
 
 def _orientation(survey: Survey) -> Unknown | None:
@@ -197,5 +211,3 @@ def _jointly(
         rows=[cluster.row],
     )
 
-
-__all__ = ["FIXED", "KINDS", "declare", "declare_free", "settle"]

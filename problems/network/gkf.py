@@ -102,8 +102,8 @@ def read_gkf(path: str | Path) -> Survey:
         )
     description = network.child("description")
     title = "" if description is None else " ".join(description.text.split())
-    return Survey(found.points, loose, correlated, axes, angles == "left-handed", tuple(remarks), a_posteriori,
-                  f"network {path.stem}" + (f" ({title[:60]})" if title else ""))
+    return Survey(found.points, loose, correlated, axes=axes, clockwise=angles == "left-handed", remarks=tuple(remarks),
+                  a_posteriori=a_posteriori, name=f"network {path.stem}" + (f" ({title[:60]})" if title else ""))
 
 
 def _section(found: _Network, section: Element) -> None:

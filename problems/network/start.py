@@ -15,6 +15,7 @@ import numpy as np
 from calib.errors import InputError
 from problems.network import heights, ranges
 from problems.network.frames import Frame, laid_onto
+from problems.network.stations import spread
 from problems.network.survey import Survey
 
 
@@ -46,7 +47,7 @@ def positions(survey: Survey) -> Survey:
     missing = {part: _missing(survey, part) for part in parts}
     if not any(missing.values()):
         return survey
-    only_ranges = {batch.kind for batch in survey.every_batch} <= {"distance", "slope distance"}
+    only_ranges = not survey.sightings and {b.kind for b in survey.every_batch} <= {"distance", "slope distance"}
     known = {key: np.array(point.position) for key, point in survey.points.items()}
     if only_ranges:
         known.update(ranges.scaled(survey, known))
@@ -61,7 +62,7 @@ def positions(survey: Survey) -> Survey:
 
 
 def _missing(survey: Survey, part: str) -> list[str]:
-    read = {key for batch in survey.every_batch for keys in batch.ends for key in keys.tolist()}
+    read = survey.read
     return [key for key, point in survey.points.items()
             if key in read and point.role(part) and np.isnan(point.position["xyz".index(part)])]
 
@@ -127,6 +128,8 @@ def _grow(survey: Survey, known: dict[str, np.ndarray], parts: str) -> None:
                 known[key][places] = np.where(np.isnan(known[key][places]), value, known[key][places])
     for _ in range(len(survey.points) + 1):
         before = sum(int(np.isfinite(place).sum()) for place in known.values())
+        if survey.sightings:
+            spread(known, survey.sightings)
         if "x" in parts:
             _plane(survey, known)
         if "z" in parts:

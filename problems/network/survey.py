@@ -13,6 +13,7 @@ from calib import Gaussian
 from calib.errors import InputError
 from calib.units import gon
 from problems.network.models import KINDS, Kind
+from problems.network.stations import Ranging, Sightings
 
 Array = NDArray[np.float64]
 LEFT_HANDED, RIGHT_HANDED = ("ne", "sw", "es", "wn"), ("en", "nw", "se", "ws")
@@ -107,7 +108,8 @@ class Correlated:
 class Survey:
     """A network: points, readings, and how axes and circles turn.
 
-    points: {key: Point}; batches; correlated: clusters of mixed readings; axes: directions of x and y, as "ne";
+    points: {key: Point}; batches; correlated: clusters of mixed readings; sightings, ranging: of stations with six
+    degrees of freedom and of instruments that read ranges alone; axes: directions of x and y, as "ne";
     clockwise: whether circles count clockwise; remarks: sentences about what was left out, and why.
     a_posteriori: whether the file wants its uncertainties multiplied by the root of the variance factor.
     """
@@ -115,6 +117,8 @@ class Survey:
     points: Mapping[str, Point]
     batches: Sequence[Batch]
     correlated: Sequence[Correlated] = ()
+    sightings: Sequence[Sightings] = ()
+    ranging: Sequence[Ranging] = ()
     axes: str = "ne"
     clockwise: bool = True
     remarks: tuple[str, ...] = ()
@@ -136,12 +140,20 @@ class Survey:
     def parts(self) -> str:
         """The coordinates that points of this network have: "xy", "z" or "xyz"."""
         read = {part for batch in self.every_batch for part in batch.model.needs}
+        if self.sightings or self.ranging:
+            return "xyz"
         return "".join(part for part in "xyz" if part in read)
 
     @property
     def every_batch(self) -> list[Batch]:
         """All batches, single readings of mixed clusters among them."""
         return [*self.batches, *(member for cluster in self.correlated for member in cluster.members)]
+
+    @property
+    def read(self) -> set[str]:
+        """Keys of the points that any reading sees."""
+        ends = {key for batch in self.every_batch for keys in batch.ends for key in keys.tolist()}
+        return ends | {key for seen in (*self.sightings, *self.ranging) for key in seen.targets}
 
     def placed(self, positions: Mapping[str, ArrayLike]) -> Survey:
         """The same survey with other positions (3,) of some points."""

@@ -12,6 +12,7 @@ from calib.job import Job
 from calib.table import Table
 from problems.network import noise
 from problems.network.models import KINDS
+from problems.network.stations import Ranging, Sightings
 from problems.network.survey import ADJUSTED, CONSTRAINED, FIXED, LEFT_HANDED, RIGHT_HANDED, Batch, Point, Survey
 
 TABLES = {
@@ -33,6 +34,11 @@ columns = {
               "station_height, target_height": "above the points (0 if not given)",
               "u": "standard uncertainty (else that of the instrument)"}
        for name in TABLES if name not in ("vectors", "coordinates")},
+    "tracker": {"station, target": "of a laser tracker with six degrees of freedom",
+                "range, azimuth, zenith": "readings; the instrument gives u_range, u_angle, and levelled = true where "
+                "its axis is vertical"},
+    "ranges": {"instrument, target": "of an interferometer whose base point and dead path are unknown",
+               "reading": "its length; the instrument gives u and counts (lengthening or shortening)"},
     "vectors": {"station, target": "names of points", "dx, dy, dz": "differences of coordinates", "u": "of each"},
     "coordinates": {"station": "name of the point", "x, y, z": "observed", "u": "of each"},
 }
@@ -49,20 +55,47 @@ def read_tables(job: Job) -> Survey:
     Raises InputError where a table, a column or an uncertainty is missing.
     """
     there = [name for name in TABLES if name in job.tables]
-    if not there:
-        raise InputError(f"{job.path}: has no table of readings; add one of {', '.join(f'[data.{n}]' for n in TABLES)}")
+    sightings = (_sightings(job),) if "tracker" in job.tables else ()
+    ranging = (_ranging(job),) if "ranges" in job.tables else ()
+    if not there and not sightings:
+        names = ", ".join(f"[data.{name}]" for name in (*TABLES, "tracker"))
+        raise InputError(f"{job.path}: has no table of readings; add one of {names}")
     axes = job.options.text("axes", "ne", (*LEFT_HANDED, *RIGHT_HANDED))
     clockwise = job.options.text("circles", "clockwise", ("clockwise", "counterclockwise")) == "clockwise"
     batches = [_batch(job, name) for name in there]
     needs = {part for batch in batches for part in batch.model.needs}
-    parts = "".join(part for part in "xyz" if part in needs)
+    parts = "".join(part for part in "xyz" if part in needs or sightings)
     points = _points(job.table("points"), parts) if "points" in job.tables else {}
     plane, height = ADJUSTED if "x" in parts else "", ADJUSTED if "z" in parts else ""
-    for batch in batches:
-        for keys in batch.ends:
-            for key in keys.tolist():
-                points.setdefault(key, Point(plane=plane, height=height))
-    return Survey(points, batches, axes=axes, clockwise=clockwise)
+    survey = Survey(points, batches, sightings=sightings, ranging=ranging, axes=axes, clockwise=clockwise)
+    for key in sorted(survey.read):
+        points.setdefault(key, Point(plane=plane, height=height))
+    return survey
+
+
+def _sightings(job: Job) -> Sightings:
+    """Polar readings of laser trackers: u of range and across it (as a length, constant and part of the range), or of
+    the circles."""
+    table, instrument = job.table("tracker"), job.instrument("tracker")
+    ranges = table.number("range", "length")
+    constant, per_metre = instrument.uncertainty("u_range", "length")
+    angles = np.full(len(table), instrument.quantity("u_angle", "angle"))
+    if "u_across" in instrument:
+        fixed, rate = instrument.uncertainty("u_across", "length")
+        angles = np.hypot(angles, (fixed + rate * ranges) / ranges)
+    readings = np.column_stack([ranges, table.number("azimuth", "angle"), table.number("zenith", "angle")])
+    u = np.column_stack([constant + per_metre * ranges, angles / np.sin(readings[:, 2]), angles])
+    levelled = instrument.flag("levelled", False)
+    return Sightings(table.text("station"), table.text("target"), readings, u, levelled, rows=table.row_numbers)
+
+
+def _ranging(job: Job) -> Ranging:
+    table, instrument = job.table("ranges"), job.instrument("ranges")
+    constant, per_metre = instrument.uncertainty("u", "length")
+    counts = instrument.text("counts", "lengthening", ("lengthening", "shortening"))
+    return Ranging(table.text("instrument"), table.text("target"), table.number("reading", "length"),
+                   noise.of_lengths(constant, per_metre), 1.0 if counts == "lengthening" else -1.0,
+                   rows=table.row_numbers)
 
 
 def _points(table: Table, parts: str) -> dict[str, Point]:
