@@ -97,8 +97,9 @@ def instructions_of(function: ca.Function) -> list[Instruction]:
     """
     offsets = np.concatenate([[0], np.cumsum([function.nnz_in(i) for i in range(function.n_in())])]).astype(int)
     found = []
+    identity, reads, writes = function.instruction_id, function.instruction_input, function.instruction_output
     for k in range(function.n_instructions()):
-        code, ins, outs = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        code, ins, outs = identity(k), reads(k), writes(k)
         if code == ca.OP_CONST:
             found.append(Instruction("CONST", outs[0], value=function.instruction_constant(k)))
         elif code == ca.OP_INPUT:
@@ -171,10 +172,10 @@ def _output() -> None: ...
 def _constant() -> None: ...
 
 
-_PLACED: dict[str, Callable[..., Any]] = {"INPUT": _input, "OUTPUT": _output, "CONST": _constant}
+_FUNCTIONS: dict[str, Callable[..., Any]] = {**_OPERATIONS, "INPUT": _input, "OUTPUT": _output, "CONST": _constant}
 
 
 def _step(one: Instruction) -> tuple[Callable[..., Any], int, int, int, Any]:
     """An instruction with its function, which is looked up once."""
-    operation = _PLACED.get(one.name) or _OPERATIONS[one.name]
-    return operation, one.out, one.first, one.second, np.float64(one.value)
+    name, out, first, second, value = one
+    return _FUNCTIONS[name], out, first, second, np.float64(value) if name == "CONST" else None

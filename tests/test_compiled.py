@@ -8,8 +8,8 @@ import pytest
 from shipped import EXAMPLES
 from test_rows import ALL, BINARY, NUMPY_ROUNDS, SAMPLES, UNARY, bound_model, inputs_of
 
-from calib import compiled
-from calib.compiled import available, compiler, pays, row_back_end, threads
+from calib.compiled import available, pays, row_back_end, threads
+from calib.compiled.machine import cache_folder, compiler
 from calib.errors import CalibrationError
 from calib.rows import Program
 
@@ -227,6 +227,6 @@ def test_a_cache_folder_that_cannot_be_written_stops_nothing(fresh, monkeypatch,
     occupied = tmp_path / "file"
     occupied.write_text("")
     monkeypatch.setenv("CALIB_CACHE", str(occupied))
-    assert compiled.cache_folder().parent == occupied
+    assert cache_folder().parent == occupied
     inputs = columns(50)
     assert np.isfinite(small().run(inputs, 50, compiled=True)).all()

@@ -18,19 +18,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.compiled.intermediate import Instruction
-from calib.compiled.machine import available, cache_folder, compiler
 from calib.errors import CalibrationError
 
 if TYPE_CHECKING:
     from concurrent.futures import ThreadPoolExecutor
 
-__all__ = ["CompiledRows", "Instruction", "available", "cache_folder", "pays", "row_back_end", "threads"]
+__all__ = ["CompiledRows", "Instruction", "available", "pays", "row_back_end", "threads"]
 
 Array = NDArray[Any]
 SPENT = 4.0e8  # scalar operations that NumPy does while the compiler is loaded
 SPENT_EACH = 1.0e5  # rows that NumPy does while one instruction is compiled
 THREAD_WORK = 4.0e6  # scalar operations that are worth a thread of their own
 _chosen: str | None = None
+
+
+def available() -> bool:
+    """Whether rows can be compiled here: llvmlite is installed and knows this processor."""
+    from calib.compiled.machine import compiler  # costs time, which a small problem does not have
+
+    return compiler() is not None
 
 
 @contextmanager
@@ -89,6 +95,8 @@ class CompiledRows:
     """
 
     def __init__(self, instructions: Sequence[Instruction], outputs: int):
+        from calib.compiled.machine import compiler
+
         here = compiler()
         if here is None:
             raise CalibrationError("rows cannot be compiled: llvmlite is not installed or does not know this machine.")

@@ -123,8 +123,3 @@ def compiler() -> Compiler | None:
         return Compiler()
     except (ImportError, OSError, AttributeError, RuntimeError):
         return None
-
-
-def available() -> bool:
-    """Whether rows can be compiled here: llvmlite is installed and knows this processor."""
-    return compiler() is not None
