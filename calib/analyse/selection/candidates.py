@@ -18,7 +18,7 @@ from calib.linearisation import Functions, Linearisation
 from calib.observations import Observations
 
 Index = NDArray[np.int64]
-ALONE = 1e-9     # of all information together: what is below no choice can see
+ALONE = 1e-12     # of all information together: what is below no choice can see
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 
 from calib.analyse.selection.exchange import exchange
-from calib.analyse.selection.greedy import RIDGE, greedy
+from calib.analyse.selection.greedy import RIDGE, backward, greedy
 from calib.analyse.selection.limits import Limits
 from calib.analyse.selection.objective import Objective
 from calib.analyse.selection.relaxation import Relaxed, relax
@@ -20,6 +20,7 @@ from calib.analyse.selection.terms import Determinant
 from calib.blocks import Array
 
 CHUNK = 20_000
+MANY = 2000      # candidates up to which a search may also go backward
 
 
 def subsets(limits: Limits, count: int) -> int:
@@ -178,9 +179,17 @@ def _fixed_by_cost(relaxed: Relaxed, limits: Limits, lower: Array, upper: Array,
     return lower, upper
 
 
+def _improved(objective: Objective, limits: Limits, chosen: list[int]) -> list[int]:
+    """An exchange, where that does not end in a choice that hides what is asked for."""
+    found = exchange(objective, limits, chosen)
+    return found if objective.loss(found) < objective.loss(chosen) else chosen
+
+
 def begun(objective: Objective, limits: Limits, relaxed: Relaxed | None) -> list[int]:
     """The best of greedy with exchange and, where there is one, of the rounded relaxation with exchange."""
     found = exchange(objective, limits, greedy(objective, limits))
+    if not np.isfinite(objective.loss(found)) and objective.count <= MANY:
+        found = _improved(objective, limits, backward(objective, limits))
     if relaxed is None:
         return found
     n = objective.count

@@ -6,12 +6,12 @@ import numpy as np
 
 from calib.analyse.selection.limits import Limits
 from calib.analyse.selection.objective import Objective
-from calib.analyse.selection.terms import Determinant, Trace
+from calib.analyse.selection.terms import Determinant, OfFunctions, Trace
 from calib.blocks import Array
 
 # Before anything is known an inverse information needs a start; relative to all information together. No reported
 # number contains it.
-RIDGE = 1e-7
+RIDGE = 1e-10
 REFACTOR = 25
 
 
@@ -30,6 +30,31 @@ def regularised(information: Array) -> Array:
     """Inverse of an information that may be singular, with the ridge of an algorithm that starts from nothing."""
     inverse = np.linalg.inv(information + RIDGE * np.eye(len(information)))
     return np.asarray(0.5 * (inverse + inverse.T))
+
+
+def backward(objective: Objective, limits: Limits) -> list[int]:
+    """All candidates less, again and again, the one whose loss matters least, until the limits hold.
+
+    Finds choices where a forward search sees no gain before many candidates are together.
+    """
+    weights = np.ones(objective.count)
+    while not limits.allow(weights):
+        inside = np.flatnonzero(weights)
+        losses = []
+        for term in objective.terms:
+            # Removing rows is adding them with the sign of their information turned round.
+            inverse = regularised(term.information(weights))
+            rows = term.rows[inside]
+            seen = rows @ inverse
+            within = (1.0 + RIDGE) * np.eye(rows.shape[1]) - seen @ rows.transpose(0, 2, 1)
+            if isinstance(term, OfFunctions):
+                through = seen @ term.functions.T
+                more = through.transpose(0, 2, 1) @ np.linalg.solve(within, through)
+                losses.append(term.of_covariance(term.functions @ inverse @ term.functions.T + more))
+            else:
+                losses.append(-np.log(np.maximum(np.linalg.det(within), RIDGE)))
+        weights[inside[int(np.argmin(np.max(losses, axis=0)))]] = 0.0
+    return np.flatnonzero(weights).tolist()
 
 
 def _by_groups(objective: Objective, limits: Limits, given: Array | None) -> list[int]:

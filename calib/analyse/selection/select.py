@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike
 from calib.analyse.covariance import covariance
 from calib.analyse.selection.candidates import Candidates, candidates_of, repeated
 from calib.analyse.selection.criterion import D, WorstCase
-from calib.analyse.selection.exact import begun, branch_and_bound, enumerated, exhaustive, subsets
+from calib.analyse.selection.exact import MANY, begun, branch_and_bound, enumerated, exhaustive, subsets
 from calib.analyse.selection.exchange import exchange
 from calib.analyse.selection.floors import Checked, Floors, refusal, with_floors
-from calib.analyse.selection.greedy import greedy
+from calib.analyse.selection.greedy import backward, greedy
 from calib.analyse.selection.limits import Limits, limits_of
 from calib.analyse.selection.method import BranchAndBound, Conic, Exchange, Exhaustive, Method, Relaxation
 from calib.analyse.selection.objective import Objective
@@ -179,6 +179,8 @@ def _searched(request: Request, method: Method) -> tuple[list[int], float, str]:
     chosen = greedy(objective, limits)
     if not np.isfinite(objective.loss(chosen)):
         chosen = exchange(objective, limits, chosen)
+    if not np.isfinite(objective.loss(chosen)) and n <= MANY:
+        chosen = backward(objective, limits)
     if not np.isfinite(objective.loss(chosen)):
         return chosen, -np.inf, method.name
     relaxed = _conic(request) if isinstance(method, Conic) else relax(objective, limits, request.candidates.indicator(
