@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-PAGES = sorted((Path(__file__).parents[1] / "docs" / "tutorials").glob("*.md"))
+FOLDER = Path(__file__).parents[1] / "docs" / "tutorials"
+PAGES = sorted(page for page in FOLDER.glob("*.md") if "```python" in page.read_text(encoding="utf-8"))
 FENCE = re.compile(r"^```(python|text)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 

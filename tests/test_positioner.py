@@ -46,6 +46,14 @@ def test_the_stated_intervals_cover_the_truth_in_fifty_repetitions(simulated):
     assert np.mean(np.square(standardised)) == pytest.approx(1.0, abs=0.4)
 
 
+def test_structure_in_what_remains_is_said_and_its_absence_too(simulated):
+    problem, estimate = simulated
+    clean = positioner.advice(calib.linearise(estimate))
+    assert "misses the identified axes by" in clean[0] and clean[1].startswith("None of the")
+    without_scale = calib.solve(problem.hold(problem.parameters("scale_A")))
+    assert "What remains has structure: freeing" in positioner.advice(calib.linearise(without_scale))[1]
+
+
 def test_an_example_job_gives_the_angle_between_the_axes(tmp_path):
     for name, text in positioner.example_job(3).items():
         (tmp_path / name).write_text(text)
@@ -55,6 +63,14 @@ def test_an_example_job_gives_the_angle_between_the_axes(tmp_path):
     assert abs(angle - (np.pi / 2 - TRUTH["EB0C (C)"])) < 4 * u
     offset, u = axes["axes.offset"]
     assert abs(offset + TRUTH["EY0C (C)"]) < 4 * u
+
+
+def test_uncertainty_by_blocks_agrees_with_the_stated_one_where_poses_are_independent(tmp_path):
+    for name, text in positioner.example_job(3).items():
+        (tmp_path / name).write_text(text)
+    job = Job.read(tmp_path / "job.toml")
+    for _, stated, by_blocks in positioner.uncertainty_by_blocks(job, calib.solve(positioner.from_job(job))).values():
+        assert 0.25 < by_blocks / stated < 3.0        # five blocks: the ratio spreads by a factor of two
 
 
 def test_quaternions_in_the_other_order_are_named(tmp_path):
