@@ -23,6 +23,7 @@ from calib.workflow.discrepancy.structure import Pattern, Place, Screen, describ
 ROUNDS = 4  # of naming and refitting, so that a curved model is judged where it is
 MOST_NAMED = 3  # effects up to which a sum of them is an answer; more is structure without a name
 CROWD = 0.06  # share of readings beyond which blunders are no blunders but heavy tails
+RARE = 4.0  # what a blunder costs beside its choice: readings go wrong less often than noise is misjudged
 ADVANTAGE = 6.0  # by which peculiar noise must beat plain noise, and a structure without a name a named effect
 
 
@@ -160,7 +161,7 @@ def _price(scene: Scene, finding: Finding) -> float:
     log_dof = np.log(max(finding.left.dof, 2))
     candidates = max(len(scene.chosen), 1)
     return float(taken * log_dof + 2 * len(finding.effects) * np.log(candidates)
-                 + len(finding.blunders) * (2 * np.log(len(scene.readings)) - log_dof))
+                 + len(finding.blunders) * (2 * np.log(len(scene.readings)) + RARE - log_dof))
 
 
 def _search_again(scene: Scene, noise: Noise, level: float, seed: int, shares: Shares) -> Finding:
