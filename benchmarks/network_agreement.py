@@ -13,8 +13,8 @@ import network_reference
 from calib import covariance, linearise, reliability, solve
 from problems.network import declare, positions, read_gkf, settle
 
-HEADER = ("network", "readings", "dof", "defect", "coordinates [m]", "u", "u at Gama's point", "f", "factor", "largest u",
-          "u a posteriori")
+HEADER = ("network", "readings", "dof", "defect", "coordinates [m]", "u", "u at Gama's point", "f", "factor",
+          "largest u", "u a posteriori")
 
 
 def row(path: Path) -> tuple[str, ...]:

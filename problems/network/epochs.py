@@ -67,14 +67,14 @@ def congruence(first: Survey, second: Survey, level: float = 0.01) -> Congruence
     Raises InputError where the epochs share too few points, or leave a different datum open.
     """
     if first.parts != second.parts:
-        raise InputError(f"the first epoch has coordinates {first.parts}, the second {second.parts}; compare like with "
-                         "like")
+        raise InputError(f"the first epoch has coordinates {first.parts}, the second {second.parts}; compare epochs of "
+                         "the same kind")
     epochs = [_free_epoch(survey, first) for survey in (first, second)]
-    keys = tuple(key for key in epochs[0][1].keys if key in epochs[1][1].keys and _adjusted(first, second, key))
     (one, point_one, null), (two, point_two, other) = epochs
+    keys = tuple(k for k in point_one.keys if k in point_two.keys and _adjusted(first, second, k))
     if null.shape[1] != other.shape[1]:
-        raise InputError(f"the readings of the first epoch leave {null.shape[1]} directions of the datum open, those of "
-                         f"the second {other.shape[1]}; without the same datum their points cannot be compared")
+        raise InputError(f"the readings of the first epoch leave {null.shape[1]} directions of the datum open, those "
+                         f"of the second {other.shape[1]}; without the same datum their points cannot be compared")
     size = len(first.parts)
     places = [np.concatenate([np.arange(size) + size * point.keys.index(key) for key in keys])
               for point in (point_one, point_two)]
