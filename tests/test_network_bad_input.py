@@ -163,6 +163,20 @@ def test_a_blunder_of_a_metre_is_the_reading_that_the_report_names(tmp_path, cap
     assert "Row 5" in answer.out
 
 
+def test_the_rest_is_adjusted_where_the_caller_wants_it_and_what_is_left_out_is_said(tmp_path):
+    far = "".join(point(key, place=place) for key, place in (("P", (500, 0)), ("Q", (600, 0)), ("R", (550, 80))))
+    rows = (*SIDES, ("P", "Q", 100.0), ("Q", "R", 94.34), ("P", "R", 94.34), ("A", "E", 70.7))
+    one = job(tmp_path, gkf(square() + far + point("E", place=(50, 50)), distances(rows)))
+    survey = network.reduced(network.read_gkf(one.path))
+    assert set(survey.points) == set(SQUARE)
+    assert "'P', 'Q', 'R'" in survey.remarks[0]
+    assert "'E'" in survey.remarks[1]
+    whole = solve(network.declare(survey))
+    alone = solve(network.from_job(job(tmp_path, gkf(square(), distances()))))
+    assert whole["point"] == pytest.approx(alone["point"], abs=1e-12)
+    assert whole.dof == alone.dof
+
+
 def test_readings_to_points_without_the_coordinate_they_need_take_no_part_and_are_named(tmp_path):
     up = '<height-differences><dh from="A" to="B" val="1" stdev="1"/></height-differences>'
     one = job(tmp_path, gkf(square(), distances() + up))

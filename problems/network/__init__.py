@@ -16,6 +16,7 @@ from problems.network.declare import declare, settle
 from problems.network.effects import effects
 from problems.network.example import example, example_job
 from problems.network.gkf import read_gkf
+from problems.network.reduction import reduced
 from problems.network.start import positions
 from problems.network.stations import Ranging, Sightings
 from problems.network.survey import Batch, Correlated, Point, Survey
@@ -28,7 +29,10 @@ source = "GNU Gama manual; Baarda (1968), reliability; Meissl (1962), free netwo
 
 def surveyed(job: Job) -> Survey:
     """The survey of a .gkf file or of a job with tables, checked, with a position for every point."""
-    return started(checked(read_gkf(job.path) if job.path.suffix == ".gkf" else read_tables(job)))
+    if job.path.suffix == ".gkf":
+        return started(checked(read_gkf(job.path)))
+    survey = read_tables(job)
+    return reduced(survey) if job.options.flag("leave_out_weak", False) else started(checked(survey))
 
 
 def from_job(job: Job) -> Problem:
@@ -63,6 +67,7 @@ __all__ = [
     "positions",
     "read_gkf",
     "read_tables",
+    "reduced",
     "remarks",
     "settle",
     "started",

@@ -9,6 +9,7 @@ import numpy as np
 from calib import predict
 from calib.errors import InputError
 from problems.network.declare import declare_free
+from problems.network.lacking import Lacking
 from problems.network.start import positions
 from problems.network.survey import ADJUSTED, CONSTRAINED, FIXED, Survey
 
@@ -63,9 +64,9 @@ def _enough(survey: Survey) -> None:
         point = survey.points[key]
         free = [part for part in parts if point.role(part) in (ADJUSTED, CONSTRAINED)]
         if count < len(free):
-            raise InputError(f"point '{key}' has {len(free)} unknown coordinates ({', '.join(free)}) and {count} "
-                             f"reading{'' if count == 1 else 's'} for them; it lacks {len(free) - count}: read it from "
-                             "another station, or give its coordinates")
+            raise Lacking(f"point '{key}' has {len(free)} unknown coordinates ({', '.join(free)}) and {count} "
+                          f"reading{'' if count == 1 else 's'} for them; it lacks {len(free) - count}: read it from "
+                          "another station, or give its coordinates", [key])
 
 
 def _joined(survey: Survey) -> None:
@@ -102,8 +103,8 @@ def _joined(survey: Survey) -> None:
     if len(alone) > (0 if anchored else 1):
         smallest = min(alone.values(), key=len)
         rest = "to the fixed points" if anchored else "to the rest"
-        raise InputError(f"the network falls apart: nothing joins {named(smallest)} {rest}; add readings between the "
-                         "two parts, fix points in each, or adjust them one by one")
+        raise Lacking(f"the network falls apart: nothing joins {named(smallest)} {rest}; add readings between the two "
+                      "parts, fix points in each, or adjust them one by one", smallest)
 
 
 def started(survey: Survey) -> Survey:

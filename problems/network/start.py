@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.errors import InputError
 from problems.network import heights, ranges
 from problems.network.frames import Frame, laid_onto
+from problems.network.lacking import Lacking
 from problems.network.stations import spread
 from problems.network.survey import Survey
 
@@ -56,8 +56,8 @@ def positions(survey: Survey) -> Survey:
     left = {part: [key for key in keys if np.isnan(known[key]["xyz".index(part)])] for part, keys in missing.items()}
     lost = list(dict.fromkeys(key for keys in left.values() for key in keys))
     if lost:
-        raise InputError("; ".join(_lack(survey, key, known, left) for key in lost[:5])
-                         + (f"; and {len(lost) - 5} more points" if lost[5:] else ""))
+        raise Lacking("; ".join(_lack(survey, key, known, left) for key in lost[:5])
+                      + (f"; and {len(lost) - 5} more points" if lost[5:] else ""), lost)
     return survey.placed(known)
 
 

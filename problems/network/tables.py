@@ -43,7 +43,8 @@ columns = {
     "coordinates": {"station": "name of the point", "x, y, z": "observed", "u": "of each"},
 }
 options = {"axes": "directions of x and y: ne (default), en, sw, ...",
-           "circles": "clockwise (default) or counterclockwise"}
+           "circles": "clockwise (default) or counterclockwise",
+           "leave_out_weak": "true to adjust the rest where points lack readings, and say what was left out"}
 
 
 def read_tables(job: Job) -> Survey:

@@ -1,0 +1,15 @@
+"""The error of points that cannot be adjusted, with their names for a caller who wants to go on without them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from calib.errors import InputError
+
+
+class Lacking(InputError):
+    """Points lack readings; `points` are their keys."""
+
+    def __init__(self, message: str, points: Sequence[str]):
+        super().__init__(message)
+        self.points = tuple(points)

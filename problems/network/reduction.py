@@ -1,0 +1,85 @@
+"""The part of a survey that can be adjusted, where its caller wants that: what is left out is said point by point."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from calib import Gaussian
+from calib.errors import InputError
+from problems.network.checks import checked, started
+from problems.network.lacking import Lacking
+from problems.network.stations import Ranging, Sightings
+from problems.network.survey import Batch, Correlated, Survey
+
+
+def reduced(survey: Survey) -> Survey:
+    """The survey without points that lack readings and without parts that nothing joins, ready to be declared.
+
+    Every reading of a point that is left out goes with it; the remarks say which, and why.
+    Raises InputError where nothing is left, or something else is wrong.
+    """
+    while True:
+        try:
+            return started(checked(survey))
+        except Lacking as error:
+            remark = f"Left out with all {'its' if len(error.points) == 1 else 'their'} readings: {error}."
+            survey = replace(without(survey, set(error.points)), remarks=(*survey.remarks, remark))
+            if not survey.read:
+                raise InputError(f"nothing is left of the network: {error}") from None
+
+
+def without(survey: Survey, keys: set[str]) -> Survey:
+    """The survey without some points and all readings of them."""
+    batches = [_kept(batch, ~np.any([np.isin(ends, list(keys)) for ends in batch.ends], axis=0))
+               for batch in survey.batches]
+    clusters = [_members(cluster, keys) for cluster in survey.correlated]
+    sightings = [_rows(one, ~np.isin(np.asarray(one.target).astype(str), list(keys))) for one in survey.sightings]
+    ranging = [_rows(one, ~np.isin(np.asarray(one.target).astype(str), list(keys))) for one in survey.ranging]
+    return replace(
+        survey,
+        points={key: point for key, point in survey.points.items() if key not in keys},
+        batches=[batch for batch in batches if len(batch)],
+        correlated=[cluster for cluster in clusters if cluster.members],
+        sightings=[one for one in sightings if len(one.target)],
+        ranging=[one for one in ranging if len(one.target)],
+    )
+
+
+def _column(values: Any, keep: np.ndarray) -> Any:
+    if values is None or np.ndim(values) == 0:
+        return values
+    array = np.asarray(values)
+    return array[keep] if len(array) == len(keep) else values
+
+
+def _uncertainty(u: Any, keep: np.ndarray) -> Any:
+    return u.kept(keep) if isinstance(u, Gaussian) else _column(u, keep)
+
+
+def _kept(batch: Batch, keep: np.ndarray) -> Batch:
+    rows = np.arange(1, len(batch) + 1) if batch.rows is None else batch.rows
+    names = ("station", "target", "readings", "back", "orientation", "station_height", "target_height")
+    columns = {name: _column(getattr(batch, name), keep) for name in names}
+    covariates = {name: (_column(v[0], keep), v[1]) if isinstance(v, tuple) else _column(v, keep)
+                  for name, v in batch.covariates.items()}
+    return replace(batch, **columns, u=_uncertainty(batch.u, keep), rows=np.asarray(rows)[keep], covariates=covariates)
+
+
+def _members(cluster: Correlated, keys: set[str]) -> Correlated:
+    stays = [not any(key in keys for ends in member.ends for key in ends.tolist()) for member in cluster.members]
+    inside = np.repeat(stays, [len(member.model.components) for member in cluster.members])
+    return replace(cluster, members=tuple(m for m, s in zip(cluster.members, stays, strict=True) if s),
+                   covariance=cluster.covariance[np.ix_(inside, inside)])
+
+
+def _rows(one: Any, keep: np.ndarray) -> Any:
+    assert isinstance(one, (Sightings, Ranging))
+    rows = np.arange(1, len(keep) + 1) if one.rows is None else one.rows
+    who = "station" if isinstance(one, Sightings) else "instrument"
+    # Three numbers are those of range and circles, whatever the number of rows.
+    u = one.u if isinstance(one, Sightings) and np.ndim(one.u) == 1 else _uncertainty(one.u, keep)
+    return replace(one, **{who: _column(getattr(one, who), keep)}, target=_column(one.target, keep),
+                   readings=_column(one.readings, keep), u=u, rows=np.asarray(rows)[keep])
