@@ -84,9 +84,11 @@ class Axis:
 
     def small(self, vector: Any) -> Transform:
         """A small displacement (6,) along and about X, Y, Z of the reference through the point of the axis [m, rad]."""
-        frame = Transform(np.asarray(self.reference), np.asarray(self.through))
-        turn = geometry.small_rotation([vector[3], vector[4], vector[5]])
-        return frame @ Transform(turn, geometry.column(vector[0], vector[1], vector[2])) @ frame.inverse()
+        # turned vectors make a turned rotation: cheaper in the trace than a product of three matrices
+        frame, through = np.asarray(self.reference), np.asarray(self.through)
+        turn = geometry.small_rotation(geometry.product(frame, geometry.column(vector[3], vector[4], vector[5])))
+        shift = geometry.product(frame, geometry.column(vector[0], vector[1], vector[2]))
+        return Transform(turn, shift + through - geometry.product(turn, through))
 
 
 class Rotary(Axis):

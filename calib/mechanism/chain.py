@@ -44,7 +44,8 @@ class Mechanism(Frozen):
             if twice:
                 raise DeclarationError(f"mechanism '{name}': two {what} are called '{twice[0]}'; give each its own "
                                        "name.")
-        for item in (*self.axes, *self.frames, *self.loads):
+        items: list[Any] = [*self.axes, *self.frames, *self.loads]
+        for item in items:
             if item.carried_by is not None and item.carried_by not in names:
                 near = difflib.get_close_matches(item.carried_by, names, 1)
                 raise DeclarationError(f"mechanism '{name}': '{item.name}' is carried by '{item.carried_by}', which "

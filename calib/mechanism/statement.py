@@ -81,9 +81,9 @@ def minimal(fit: Linearisation, prefer: Sequence[Any] = ()) -> Statement:
             basis.append(remainder / length)
             kept.append(place)
         else:
-            column = int(layout.free_columns[place])
-            unknown, instance, part = layout.place(column)
-            confounded.append(Confounded(layout.label(column), _sentence(fit, place, kept, columns, size),
+            hidden = int(layout.free_columns[place])
+            unknown, instance, part = layout.place(hidden)
+            confounded.append(Confounded(layout.label(hidden), _sentence(fit, place, kept, columns, size),
                                          Selection(unknown, np.array([instance]), (part,))))
     return Statement(tuple(layout.label(int(layout.free_columns[k])) for k in kept), tuple(confounded),
                      _weak(fit, kept, columns, size))
@@ -112,7 +112,7 @@ def _sentence(fit: Linearisation, place: int, kept: Sequence[int], columns: Arra
         return f"{label(place)} changes no reading; it is held. Readings that see it would free it."
     frame = columns[:, list(kept)] / size[list(kept)]
     shares = np.linalg.lstsq(frame, columns[:, place] / size[place], rcond=None)[0]
-    terms = []
+    terms: list[str] = []
     for p, share in sorted(zip(kept, shares, strict=True), key=lambda item: -abs(item[1])):
         if abs(share) > 1e-5 and len(terms) < 5:
             amount = share * size[place] / size[p] * units.factor(unit(place)) / units.factor(unit(p))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -68,7 +69,8 @@ def from_standard(name: str, rows: Sequence[Row], base: Transform | None = None,
 
     base: base_from_first; tip: last_from_tip. Raises DeclarationError for a table without rows.
     """
-    here, axes = base or Transform.identity(), []
+    here = base or Transform.identity()
+    axes: list[Any] = []
     for row in rows:
         axes.append(_axis(row, here, axes))
         if row.beta is None:
@@ -82,7 +84,8 @@ def from_standard(name: str, rows: Sequence[Row], base: Transform | None = None,
 def from_modified(name: str, rows: Sequence[Row], base: Transform | None = None,
                   tip: Transform | None = None) -> Mechanism:
     """The mechanism of a modified table; its last frame is `tip`. Arguments as of `from_standard`."""
-    here, axes = base or Transform.identity(), []
+    here = base or Transform.identity()
+    axes: list[Any] = []
     for row in rows:
         here = here @ _about_x(row.alpha, row.a)
         axes.append(_axis(row, here, axes))

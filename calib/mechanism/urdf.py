@@ -115,7 +115,7 @@ def _tree(text: bytes | str, where: str) -> ElementTree.Element:
     builder = ElementTree.TreeBuilder(insert_comments=True)
     parser = expat.ParserCreate()
 
-    def refused(*_: Any) -> None:
+    def refused(*_: Any) -> int:
         raise InputError(f"{where}: declares a document type or XML entities, which a URDF does not need and which "
                          "are never expanded here; take the <!DOCTYPE ...> out.")
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = parser.ExternalEntityRefHandler = refused
@@ -229,8 +229,9 @@ def mechanism(description: Description, base: str | None = None, tip: str | None
                                  joint.limits, home.rotation if along.max() > 1 - 1e-9 else None))
                 carriers[joint.child] = identifier(joint.name)
     frames = [Frame(identifier(link), home.translation, home.rotation, carriers[link]) for link, home in homes.items()]
-    loads = [Load(identifier(link), homes[link] @ centre, carriers[link], mass)
-             for link, (mass, centre) in description.weights.items() if link in homes and carriers[link] is not None]
+    loads = [Load(identifier(link), homes[link] @ centre, carrier, mass)
+             for link, (mass, centre) in description.weights.items()
+             if link in homes and (carrier := carriers[link]) is not None]
     return Mechanism(description.name, axes, frames, loads, down)
 
 
