@@ -178,6 +178,13 @@ class Observations(BoundModel):
         """Names of the slots of the model."""
         return slots_of(self.model)
 
+    @property
+    def recorded(self) -> Array:
+        """The readings (n, dim) in SI; raises DeclarationError where these are planned and not read."""
+        if self.readings is None:
+            raise DeclarationError(f"observations '{self.group}' are planned: they have no readings; simulate them.")
+        return self.readings
+
     def units(self, dim: int) -> tuple[str, ...]:
         """Display unit of each of dim components."""
         return (self.unit,) * dim if isinstance(self.unit, str) else tuple(self.unit)

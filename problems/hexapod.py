@@ -117,8 +117,8 @@ def commands(problem: Problem, wanted: geometry.Transform) -> Quantity:
 def from_job(job: Job) -> Problem:
     """Declare the hexapod of a job: table [data.poses] with the pose and the six leg readings of each posture."""
     table, said = job.table("poses"), job.options
-    rotations = observe.rotations_from_quaternions(*(table.number(n) for n in ("qw", "qx", "qy", "qz")),
-                                                   where=str(table.path),
+    w, x, y, z = (table.number(name) for name in ("qw", "qx", "qy", "qz"))
+    rotations = observe.rotations_from_quaternions(w, x, y, z, where=str(table.path),
                                                    rows=table.row_numbers)
     places = np.stack([table.number(n, "length") for n in "xyz"], axis=1)
     legs = np.stack([table.number(f"leg{i + 1}", "length") for i in range(LEGS)], axis=1)
@@ -146,14 +146,14 @@ def example(seed: int) -> Problem:
     problem = declare(*planned(40, 3), None, 20 * um, 0.05 * mrad, 2 * um, 0.5 * mm, 1 * mm)
     drawn = simulate(problem, TRUTH, seed)
     # tolerances are statements on the design, not readings: they stay where they are
-    design = {o.group: o.readings for o in problem.observations if o.is_prior}
+    design = {o.group: o.recorded for o in problem.observations if o.is_prior}
     return drawn.with_readings(design)
 
 
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job with simulated readings: {file name: text}. seed: of the errors."""
     problem = example(seed)
-    legs, poses = (o.readings for o in problem.observations[:2])
+    legs, poses = (o.recorded for o in problem.observations[:2])
     _, rotations = planned(40, 3)
     lines = ["# source: simulated, tracker on a hexapod's platform", "x_mm,y_mm,z_mm,qw,qx,qy,qz,"
              + ",".join(f"leg{i + 1}_mm" for i in range(LEGS))]

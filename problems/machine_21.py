@@ -44,7 +44,7 @@ def effects() -> tuple[Effect, ...]:
     return (*(e for e in location_errors(mechanism, ["Y", "Z"]) if e.label in SQUARENESS), *error_motions(mechanism))
 
 
-def declare(positions: ArrayLike, reflector: Sequence[object], points: ArrayLike | None, u: float,
+def declare(positions: ArrayLike, reflector: Sequence[object] | np.ndarray, points: ArrayLike | None, u: float,
             offsets: dict[str, ArrayLike],
             world: geometry.Transform, u_offset: float = 0.2 * mm, u_motion: float = 50 * um, u_turn: float = 100e-6,
             rows: ArrayLike | None = None) -> Problem:
@@ -112,7 +112,8 @@ def example(seed: int) -> Problem:
     positions, names = np.repeat(grid, 3, axis=0), [str(i + 1) for _ in grid for i in range(3)]
     world = geometry.Transform(geometry.rotation_from_rpy(0.01, 0.02, 0.5), np.array([-1.5, -1.0, 0.4]))
     problem = declare(positions, names, None, 1 * um, {str(i + 1): OFFSETS[i] for i in range(3)}, world)
-    return simulate(problem, {problem.parameters(n).name: np.atleast_2d(v) for n, v in TRUTH.items()}, seed)
+    truth = {problem.parameters(n).name: np.atleast_2d(np.asarray(v)) for n, v in TRUTH.items()}
+    return simulate(problem, truth, seed)
 
 
 def example_job(seed: int) -> dict[str, str]:
@@ -121,7 +122,7 @@ def example_job(seed: int) -> dict[str, str]:
     c = observations.covariates
     lines = ["# source: simulated, tracking interferometer and three reflectors on the spindle",
              "X_mm,Y_mm,Z_mm,reflector,x_mm,y_mm,z_mm"]
-    for i, reading in enumerate(observations.readings):
+    for i, reading in enumerate(observations.recorded):
         lines.append(",".join(f"{c[a][i] / mm:.4f}" for a in "XYZ") + f",{c['reflector'][i]},"
                      + ",".join(f"{v / mm:.7f}" for v in reading))
     mounted = ["# source: simulated", "reflector,x_mm,y_mm,z_mm",

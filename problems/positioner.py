@@ -130,7 +130,7 @@ def _quantities(table: Any, problem: Problem, instrument_from_base: Pose) -> lis
         line = world @ pose(positions)
         return vertcat(line.rotation[:, 2], line.translation)
     at_zero = Shared(np.zeros(2))
-    line = {"unit": ["1"] * 3 + ["mm"] * 3, "parts": ("dx", "dy", "dz", "x", "y", "z")}
+    line: dict[str, Any] = {"unit": ["1"] * 3 + ["mm"] * 3, "parts": ("dx", "dy", "dz", "x", "y", "z")}
     return [quantity(problem, "axes", table, axes, at_zero, unit=["deg", "mm"], parts=("angle", "offset")),
             Quantity("axis_A", tilting_axis, instrument_from_base, **line),
             quantity(problem, "axis_C", table, table_axis, instrument_from_base, at_zero, **line)]
@@ -160,9 +160,10 @@ def _read(job: Job) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         places = np.stack([table.number(name, "length") for name in "xyz"], axis=1)
         quaternions = np.stack([table.number(name) for name in ("qw", "qx", "qy", "qz")], axis=1)
     positions = checked_positions(positioner(), positions, rows, where)
-    rotations = observe.rotations_from_quaternions(*quaternions.T, where=where, rows=rows)
+    w, x, y, z = quaternions.T
+    rotations = observe.rotations_from_quaternions(w, x, y, z, where, rows)
     frames = positioner().poses("table", positions)
-    other = observe.rotations_from_quaternions(*quaternions[:, [3, 0, 1, 2]].T, where=where, rows=rows)
+    other = observe.rotations_from_quaternions(z, w, x, y, where, rows)
     other_quaternion_order(misfit(rotations, places, *frames), misfit(other, places, *frames), where)
     return positions, places, rotations, rows
 

@@ -255,9 +255,8 @@ def heldout(job: Job, estimate: Any) -> list[tuple[str, float, float, str]]:
         (before, apart_before), (after, apart_after) = (distance_errors(read.arm, seats, read.arguments, values)
                                                         for values in ({}, found))
         rows.append((f"mean distance error ({role})", float(before.mean()) / mm, float(after.mean()) / mm, "mm"))
-        rows.append((f"its standard uncertainty over the postures ({role})", *(float(e.std(ddof=1) / np.sqrt(len(e))) /
-        mm
-                                                                               for e in (before, after)), "mm"))
+        u_before, u_after = (float(e.std(ddof=1) / np.sqrt(len(e))) / mm for e in (before, after))
+        rows.append((f"its standard uncertainty over the postures ({role})", u_before, u_after, "mm"))
         known = read.arguments["distance"]
         if known is not None and apart_before is not None and apart_after is not None:
             rows.append((f"error of the distance of the sockets ({role})", (apart_before - known) / mm,
@@ -342,7 +341,7 @@ def simulated(seed: int, truth_seed: int, count: int = 20) -> tuple[Problem, dic
     truth: dict[str, Any] = {"ball": np.array([0.4, -0.3, 0.2]) * mm}
     for observations in problem.observations:
         if observations.is_prior:
-            sizes = observations.uncertainty.weighting(1, len(observations.readings[0]), "tolerance").u[0]
+            sizes = observations.uncertainty.weighting(1, len(observations.recorded[0]), "tolerance").u[0]
             drawn = list(generator.standard_normal(len(sizes)) * sizes)
             for unknown in observations.unknowns:
                 truth[unknown.name] = np.array([[drawn.pop(0) for _ in range(unknown.freedom)]])

@@ -50,7 +50,7 @@ def effects() -> tuple[Effect, ...]:
     return tuple(found)
 
 
-def declare(positions: ArrayLike, reflector: Sequence[object], points: ArrayLike | None, u: float,
+def declare(positions: ArrayLike, reflector: Sequence[object] | np.ndarray, points: ArrayLike | None, u: float,
             world: geometry.Transform,
             free: Sequence[str] = (), rows: ArrayLike | None = None) -> Problem:
     """Declare the identification of the turntable.
@@ -110,7 +110,8 @@ def from_job(job: Job) -> Problem:
     return declare(positions, reflector, points, u, rough_place(positions, reflector, points), free, table.row_numbers)
 
 
-def rough_place(positions: np.ndarray, reflector: Sequence[str], points: np.ndarray) -> geometry.Transform:
+def rough_place(positions: np.ndarray, reflector: Sequence[object] | np.ndarray, points: np.ndarray
+                ) -> geometry.Transform:
     """tracker_from_base from points of at least one reflector, by alternating two linear fits of the nominal
     geometry."""
     rotations, _ = turntable().poses("table", positions)
@@ -166,7 +167,7 @@ def example_job(seed: int) -> dict[str, str]:
     c = observations.covariates
     lines = ["# source: simulated, tracker and three reflectors on a three-axis turntable",
              "C_deg,A_deg,B_deg,reflector,x_mm,y_mm,z_mm"]
-    for i, reading in enumerate(observations.readings):
+    for i, reading in enumerate(observations.recorded):
         lines.append(",".join(f"{c[a][i] / degree:.6f}" for a in AXES) + f",{c['reflector'][i]},"
                      + ",".join(f"{v / mm:.6f}" for v in reading))
     job = 'problem = "problems.three_axis_turntable"\n\n[data.points]\nfile = "points.csv"\n\n[options]\nu = "5 um"\n' \

@@ -83,7 +83,7 @@ def _declared(job: Job, setup: Setup, with_tracker: bool) -> Problem:
     if not len(axes.rows):
         raise InputError(f"{table.path}: no row of kind 'axis'; the readings of the locators are missing. Add them.")
     u_axis = job.instruments.table("locator").quantity("sigma_axis", "length")
-    u_tracker = ()
+    u_tracker: list[float] = []
     if len(targets.rows) or "tracker" in job.instruments:
         tracker = job.instruments.table("tracker")
         u_tracker = [tracker.quantity(f"sigma_{name}", kind) for name, kind in
