@@ -42,14 +42,14 @@ def test_l1_by_reweighting_reaches_the_convex_optimum():
     assert robust(problem, L1()).value == pytest.approx(float(np.abs(best.residuals["readings"]).sum()), rel=1e-4)
 
 
-@pytest.mark.parametrize("loss", [Huber(), L1(), Truncated()])
+@pytest.mark.parametrize("loss", [Huber(), pytest.param(L1(), marks=pytest.mark.slow), Truncated()])
 def test_the_covariance_holds_with_wild_readings_and_without(loss):
     for wild in (0.0, 0.04):
-        problem, of = lines(seed=3, count=80, wild=wild)
+        problem, of = lines(seed=3, count=60, wild=wild)
         found = robust(problem, loss, iterations=40)
         _, matrix = found.covariance(of)
         errors = found.estimate[of].ravel() / np.sqrt(np.diag(matrix))
-        # 160 standardised errors: their mean square has a standard deviation of 0.11, and somewhat more for L1.
+        # 120 standardised errors: their mean square has a standard deviation of 0.13, and somewhat more for L1.
         assert 0.7 < np.mean(errors**2) < 1.35
 
 

@@ -52,8 +52,9 @@ def _readings_of(survey: Survey) -> dict[str, int]:
             settings = np.asarray(batch.orientation).astype(str).tolist()
             for station in dict(zip(settings, batch.ends[0].tolist(), strict=True)).values():
                 count[station] -= 1
-    for seen, dim in (*((one, 3) for one in survey.sightings), *((one, 1) for one in survey.ranging)):
-        for key, times in zip(*np.unique(np.asarray(seen.target).astype(str), return_counts=True), strict=True):
+    seen = [(one.target, 3) for one in survey.sightings] + [(one.target, 1) for one in survey.ranging]
+    for targets, dim in seen:
+        for key, times in zip(*np.unique(np.asarray(targets).astype(str), return_counts=True), strict=True):
             count[str(key)] = count.get(str(key), 0) + int(times) * dim
     return count
 

@@ -42,30 +42,29 @@ def batches(clusters: Sequence[tuple[list[Record], Array | None]]) -> tuple[list
             for record in records:
                 loose.setdefault((record.kind, record.unit), []).append((record, np.array(record.u, float)))
             continue
-        for group, matrix in _connected(records, covariance):
-            first = group[0]
+        for members, matrix in _connected(records, covariance):
+            first = members[0]
             if np.count_nonzero(matrix - np.diag(np.diag(matrix))) == 0:
-                u = np.sqrt(np.diag(matrix))
-                for record in group:
-                    own, u = u[: len(record.values)], u[len(record.values) :]
+                spread = np.sqrt(np.diag(matrix))
+                for record in members:
+                    own, spread = spread[: len(record.values)], spread[len(record.values) :]
                     loose.setdefault((record.kind, record.unit), []).append((record, own))
-            elif all((r.kind, r.unit) == (first.kind, first.unit) for r in group):
-                bound.setdefault((first.kind, first.unit), []).append((group, matrix))
+            elif all((r.kind, r.unit) == (first.kind, first.unit) for r in members):
+                bound.setdefault((first.kind, first.unit), []).append((members, matrix))
             else:
-                name = f"cluster of row {first.row}"
-                mixed.append(Correlated(tuple(_batch([r], np.ones(len(r.values)), "") for r in group), matrix, name,
-                                        first.row))
+                singles = tuple(_batch([r], np.ones(len(r.values)), "") for r in members)
+                mixed.append(Correlated(singles, matrix, f"cluster of row {first.row}", first.row))
     found = []
     for (kind, unit), pairs in loose.items():
-        group = kind if sum(k == kind for k, _ in loose) == 1 else f"{kind} ({unit})"
-        found.append(_batch([r for r, _ in pairs], np.array([u for _, u in pairs]), group))
-    for (kind, unit), groups in bound.items():
-        index = [i for i, (records, _) in enumerate(groups) for _ in records]
-        u = Gaussian.groups(index, {i: matrix for i, (_, matrix) in enumerate(groups)})
+        name = kind if sum(k == kind for k, _ in loose) == 1 else f"{kind} ({unit})"
+        found.append(_batch([r for r, _ in pairs], np.array([u for _, u in pairs]), name))
+    for (kind, unit), sets in bound.items():
+        index = [i for i, (members, _) in enumerate(sets) for _ in members]
+        u = Gaussian.groups(index, {i: matrix for i, (_, matrix) in enumerate(sets)})
         several = sum(k == kind for k, _ in (*loose, *bound)) > 1
         note = "" if sum(k == kind for k, _ in bound) == 1 else f", {unit}"
-        group = f"{kind} (correlated{note})" if several else kind
-        found.append(_batch([r for records, _ in groups for r in records], u, group))
+        name = f"{kind} (correlated{note})" if several else kind
+        found.append(_batch([r for members, _ in sets for r in members], u, name))
     return found, mixed
 
 

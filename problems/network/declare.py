@@ -198,7 +198,7 @@ def _jointly(
         components += [f"{member.kind} {' '.join(ends)}{' ' + c if c else ''}" for c in kind.components]
         units += [member.unit] * len(kind.components)
         periods += [kind.period] * len(kind.components)
-        readings += np.ravel(member.readings).tolist()
+        readings += np.zeros(len(kind.components)).tolist() if member.values is None else member.values.ravel().tolist()
     return Observations(
         Together(terms, list(number)),
         *bound,

@@ -337,7 +337,8 @@ def _banded(found: _Network, element: Element, size: int) -> Array:
 
 def _taking_part(found: _Network) -> tuple[list[tuple[list[Record], Array | None]], list[str]]:
     """The readings between points that have the coordinates they need, and sentences about the others."""
-    kept, left_out = [], {}
+    kept: list[tuple[list[Record], Array | None]] = []
+    left_out: dict[tuple[str, str, str], list[int]] = {}
     for records, covariance in found.clusters:
         stays = []
         for record in records:

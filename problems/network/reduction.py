@@ -80,6 +80,8 @@ def _rows(one: Any, keep: np.ndarray) -> Any:
     rows = np.arange(1, len(keep) + 1) if one.rows is None else one.rows
     who = "station" if isinstance(one, Sightings) else "instrument"
     # Three numbers are those of range and circles, whatever the number of rows.
-    u = one.u if isinstance(one, Sightings) and np.ndim(one.u) == 1 else _uncertainty(one.u, keep)
+    u: Any = one.u
+    if not (isinstance(one, Sightings) and not isinstance(u, Gaussian) and np.ndim(u) == 1):
+        u = _uncertainty(u, keep)
     return replace(one, **{who: _column(getattr(one, who), keep)}, target=_column(one.target, keep),
                    readings=_column(one.readings, keep), u=u, rows=np.asarray(rows)[keep])

@@ -153,7 +153,8 @@ class Survey:
     def read(self) -> set[str]:
         """Keys of the points that any reading sees."""
         ends = {key for batch in self.every_batch for keys in batch.ends for key in keys.tolist()}
-        return ends | {key for seen in (*self.sightings, *self.ranging) for key in seen.targets}
+        ends |= {key for seen in self.sightings for key in seen.targets}
+        return ends | {key for seen in self.ranging for key in seen.targets}
 
     def placed(self, positions: Mapping[str, ArrayLike]) -> Survey:
         """The same survey with other positions (3,) of some points."""

@@ -128,7 +128,7 @@ def _batch(job: Job, name: str) -> Batch:
         readings = table.number("reading", dimension)
     ends = ("station_height", "target_height")
     heights = {end: table.number(end, "length") if table.has(end) else 0.0 for end in ends}
-    unit = "m" if dimension == "length" else table.column("reading").unit
+    unit = "m" if dimension == "length" else table.column("reading").unit or "rad"
     return Batch(
         kind=kind,
         station=station,
