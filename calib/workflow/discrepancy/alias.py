@@ -32,7 +32,8 @@ def aliases(
     """For each chosen candidate the others that could stand in its place.
 
     field: nominal field; chosen: places of the chosen candidates; values: their parameters (k,) SI; columns: of all
-    candidates (n, k) over all whitened rows; estimated: whether the values are estimates or true. A stand-in raises the sum of squares by an expected 4 or less.
+    candidates (n, k) over all whitened rows; estimated: whether the values are estimates or true. A stand-in raises the
+    sum of squares by an expected 4 or less.
     """
     found: dict[int, list[int]] = {}
     for one in chosen:

@@ -18,7 +18,7 @@ from calib.workflow.discrepancy.readings import row_numbers
 from calib.workflow.discrepancy.rivals import HEAVY, SCALED, SERIAL, STATED, UNEVEN, Noise, accounts
 from calib.workflow.discrepancy.scene import Scene, scene_of
 from calib.workflow.discrepancy.search import Finding, Shares, corrected, search
-from calib.workflow.discrepancy.structure import Pattern, Place, Screen, described, patterns
+from calib.workflow.discrepancy.structure import Place, Screen, described, patterns
 
 ROUNDS = 4  # of naming and refitting, so that a curved model is judged where it is
 MOST_NAMED = 3  # effects up to which a sum of them is an answer; more is structure without a name
@@ -117,7 +117,7 @@ def _best_account(
     described_ones = []
     for base in (finding, nothing) if finding.effects else (nothing,):
         first = screen if at_nominal and base is nothing else None
-        whole = _with_structure(scene, base, screen.shapes, level * shares.structure, seed, first)
+        whole = _with_structure(scene, base, screen, level * shares.structure, seed, first)
         if whole is not None:
             described_ones.append(whole)
     if not (finding.effects or finding.blunders or described_ones):
@@ -181,10 +181,10 @@ def _score_through(scene: Scene, finding: Finding, noise: Noise) -> float:
 
 
 def _with_structure(
-    scene: Scene, base: Finding, shapes: Sequence[Pattern], level: float, seed: int, first: Screen | None
+    scene: Scene, base: Finding, screen: Screen, level: float, seed: int, first: Screen | None
 ) -> _Account | None:
     bare: Field = replace(base.left, signals=(), sizes=())
-    found, left, looks = described(bare, shapes, level, seed, first)
+    found, left, looks = described(bare, screen.shapes, level, seed, first, screen.looks)
     if not found:
         return None
     noise = min((a for a in accounts(left, scene.channels) if a.kind in (STATED, SCALED)), key=lambda a: a.score)

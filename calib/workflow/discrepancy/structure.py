@@ -145,7 +145,7 @@ def _scaled(numbers: Array) -> Array:
 class Screen:
     """Score tests of many patterns at once, each from its own rows, against residuals outside a basis."""
 
-    def __init__(self, field: Field, shapes: Sequence[Pattern], seed: int):
+    def __init__(self, field: Field, shapes: Sequence[Pattern], seed: int, looks: float | None = None):
         self.shapes, self.field = [], field
         self.roots: list[Array] = []
         for shape in shapes:
@@ -157,7 +157,7 @@ class Screen:
                 self.shapes.append(shape)
                 self.roots.append(columns @ (vectors[:, seen] / np.sqrt(values[seen])))
         self.dofs = np.array([r.shape[1] for r in self.roots], dtype=int)
-        self.looks = self._looks(seed)
+        self.looks = self._looks(seed) if looks is None else looks
 
     def drops(self, residuals: Array) -> Array:
         """Drop of the sum of squares for each pattern (rows) and each column of residuals (n, count)."""
@@ -200,18 +200,20 @@ class Screen:
 
 
 def described(
-    field: Field, shapes: Sequence[Pattern], level: float, seed: int, first: Screen | None = None
+    field: Field, shapes: Sequence[Pattern], level: float, seed: int, first: Screen | None = None,
+    known: float | None = None,
 ) -> tuple[list[Place], Field, int]:
     """Describe what is left over by patterns, one after another, as long as one is significant.
 
-    first: the screen of this field where it is there already.
+    first: the screen of this field where it is there already; known: the number of independent looks, if known.
     Returns the patterns, the field without them, and how many looks one of them was chosen from.
     """
     found: list[Place] = []
     looks = 1
     for _ in range(MOST):
-        screen = Screen(field, shapes, seed) if first is None else first
-        first = None
+        # What was taken changes the number of independent looks but little; simulating it is the dear part.
+        screen = Screen(field, shapes, seed, known) if first is None else first
+        first, known = None, screen.looks
         looks = max(looks, len(screen.shapes))
         best = screen.best()
         if best is None or best[1].p_value > level:
