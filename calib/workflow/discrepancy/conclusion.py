@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from calib import units
 from calib.analyse.score import Candidate
 from calib.blocks import Array
+from calib.errors import CalibrationError
 from calib.problem import Problem
 from calib.solve.estimate import Estimate
 from calib.workflow.discrepancy.alias import Hidden, aliases, hidden, what_would_tell
@@ -119,7 +120,10 @@ def conclude(
     rms = (_spread(before), _spread(after))
     held = None
     if check:
-        held = _held(problem, check, before, after, judged.named if verdict == "effects" else (), rows)
+        try:
+            held = _held(problem, check, before, after, judged.named if verdict == "effects" else (), rows)
+        except CalibrationError as error:
+            remarks = (*remarks, f"The gap on held-out rows cannot be judged: without them, {error.sentence}")
     return Explanation(
         verdict,
         sentence(verdict, effects, rows, judged.structure, judged.noise, rms),

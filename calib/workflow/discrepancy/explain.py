@@ -64,9 +64,16 @@ def explain(
     best = _best_account(scene, finding, screen, level, seed, shares, scene is nominal)
     chosen, rows = _names(scene, best.finding)
     if [c.label for c in chosen] != [c.label for c in named] or rows != outliers:
-        named, outliers = chosen, rows
-        estimate = _refit(problem, named, outliers, before)
-        scene = scene_of(problem, estimate, named)
+        refit = _refit(problem, chosen, rows, before)
+        if refit is not None:
+            named, outliers, estimate = chosen, rows, refit
+            scene = scene_of(problem, estimate, named)
+        else:
+            listed = ", ".join(c.label for c in chosen)
+            remarks = (*remarks, f"The fit with {listed} freed cannot be solved, so they are not named although the "
+                       "residuals point at them; read positions in which they differ.")
+            best = replace(best, finding=replace(_nothing(scene), scale=best.finding.scale))
+            named, outliers, estimate = (), (), before
     noise = _noise(scene, best, level * shares.noise, seed)
     if best.noise.kind not in (STATED, SCALED) and best.finding is not finding and not noise:
         # Something was significant, and this noise accounts for it better than any effect.
@@ -88,7 +95,7 @@ def _settled(
         if [c.label for c in chosen] == [c.label for c in named] and rows == outliers:
             break
         refit = _refit(problem, chosen, rows, before)
-        if not refit.converged:  # the linear picture promised more than the model keeps: stay where it holds
+        if refit is None:  # the linear picture promised more than the model keeps: stay where it holds
             break
         named, outliers, estimate = chosen, rows, refit
         scene = scene_of(problem, estimate, named)
@@ -101,12 +108,16 @@ def _names(scene: Scene, finding: Finding) -> tuple[tuple[Candidate, ...], tuple
     return tuple(scene.chosen[e] for e in finding.effects), tuple(sorted(rows))
 
 
-def _refit(problem: Problem, named: Sequence[Candidate], outliers: Sequence[int], start: Estimate) -> Estimate:
-    """Solve with the named effects freed and the outlying rows left out."""
+def _refit(problem: Problem, named: Sequence[Candidate], outliers: Sequence[int], start: Estimate) -> Estimate | None:
+    """Solve with the named effects freed and the outlying rows left out; None where that cannot be solved."""
     freed = problem.free(*[c.selection for c in named]) if named else problem
     if outliers:
         freed = freed.keep({o.group: ~np.isin(o.rows, outliers) for o in freed.observations if not o.is_prior})
-    return solve(freed, start=start)
+    try:
+        estimate = solve(freed, start=start)
+    except CalibrationError:
+        return None
+    return estimate if estimate.converged else None
 
 
 def _best_account(
