@@ -100,14 +100,14 @@ def plot(steps: list[Row], trackers: list[Row], axes_read: list[Row], path: Path
     left.axvline(1.0, color="grey", linewidth=0.8)
     left.set_yticks(place, [str(row["result"]) for row in steps], fontsize=7)
     left.invert_yaxis()
-    left.set(xlabel="u jointly / u step by step", title="five axes", xscale="log")
+    left.set(xlabel="u jointly / u step by step", title="five axes")
     for row in trackers:
         mark = "*" if "theodolite" in str(row["instrument"]) else "o" if "full" in str(row["instrument"]) else "s"
         x, y = float(row["u_perpendicularity_arcsec"]), float(row["u_distance_of_axes_um"])
         middle.plot(x, y, mark, color="C1" if mark == "*" else "C0", markersize=11 if mark == "*" else 6)
         middle.annotate(str(row["instrument"]).split(",")[0].replace("tracker at ", ""), (x, y), fontsize=7,
                         xytext=(5, 3), textcoords="offset points")
-    middle.set(xscale="log", yscale="log", xlabel="u of the perpendicularity / arcsec",
+    middle.set(xlim=(0.0, 12.0), ylim=(0.0, 30.0), xlabel="u of the perpendicularity / arcsec",
                ylabel="u of the distance of the axes / um",
                title="theodolite (star), tracker (dot: full turn and 90°,\nsquare: 90° both)")
     names = [key for key in axes_read[0] if key.startswith("u_")][:3]

@@ -62,8 +62,11 @@ def compare(job: Path, starts: int, draws: int, seconds: float, seed: int, probl
         output.prose(sentence)
     if found.refused:
         output.say("\nRefused:")
+        together: dict[str, list[str]] = {}
         for line in found.refused:
-            output.prose(f"{line.formulation}: {line.method}: {line.why}", "  - ")
+            together.setdefault(line.why, []).append(f"{line.formulation}, {line.method}".rstrip(", "))
+        for why, names in together.items():
+            output.prose(f"{'; '.join(names)}: {why}", "  - ")
     if output.folder is not None:
         output.say()
         output.wrote(files.write_json(output.path("comparison.json"), content),

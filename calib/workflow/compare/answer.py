@@ -70,6 +70,7 @@ class Placed:
     fit: Linearisation | None
     objective: float | None
     why: str = ""
+    held: tuple[str, ...] = ()  # names of what the answer says, where it does not say everything
 
 
 def placed(declared: Problem, said: Mapping[str, Any], around: Estimate) -> Placed:
@@ -100,8 +101,9 @@ def placed(declared: Problem, said: Mapping[str, Any], around: Estimate) -> Plac
         return Placed(None, None, "it gives no unknown of the declared problem by name")
     rest = declared.hold(*held)
     shown = {u: u.show(v) for u, v in start.items()}
+    rest_is_held = all(rest.is_held(u).all() for u in rest.unknowns)
     try:
-        if all(rest.is_held(u).all() for u in rest.unknowns):
+        if rest_is_held:
             values = start
         else:
             estimate = solve(rest, GaussNewton(), shown)
@@ -115,7 +117,8 @@ def placed(declared: Problem, said: Mapping[str, Any], around: Estimate) -> Plac
         residual = system.whitened(values, system.weightings(values))
     except CalibrationError as error:
         return Placed(None, None, str(error))
-    return Placed(linearise_system(system, values), float(residual @ residual))
+    names = () if rest_is_held else tuple(dict.fromkeys(name_of(one) for one in held))
+    return Placed(linearise_system(system, values), float(residual @ residual), held=names)
 
 
 def _fits(unknown: Unknown, value: Any) -> bool:

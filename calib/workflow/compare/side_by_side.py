@@ -22,7 +22,7 @@ from calib.solve.ipopt import ExactHessian, GaussNewtonHessian, Ipopt
 from calib.solve.loss import L1, Huber, LeastSquares, MinimumZone
 from calib.solve.method import Method
 from calib.system import System
-from calib.workflow.compare.answer import Wanted, placed, results, said_by
+from calib.workflow.compare.answer import Placed, Wanted, placed, results, said_by
 from calib.workflow.compare.formulation import ClosedForm, Formulation, Global, Redeclared
 from calib.workflow.compare.starts import Starts, region, starts
 
@@ -191,7 +191,7 @@ def _by_formulation(declared: Problem, wanted: Wanted, name: str, formulation: F
     at = placed(declared, said_by(estimate, [one.name for one in declared.unknowns]), around)
     return Compared(name, "Gauss-Newton", True, "", values, u, u_from, {}, at.objective, estimate.certificate,
                     estimate.converged, estimate.iterations, seconds, memory,
-                    note=at.why if estimate.converged else estimate.message, source=source)
+                    note=_said(at) if estimate.converged else estimate.message, source=source)
 
 
 def _closed(declared: Problem, wanted: Wanted, name: str, formulation: ClosedForm, around: Estimate,
@@ -207,7 +207,12 @@ def _closed(declared: Problem, wanted: Wanted, name: str, formulation: ClosedFor
     values = of(declared, said)
     u, u_from = _u_by_drawing(declared, around, effort, values, lambda drawn: of(drawn, formulation.values(drawn)))
     return Compared(name, "closed form", True, "", values, u, u_from, {}, at.objective, None, True, None, seconds,
-                    memory, source=formulation.source)
+                    memory, note=_said(at), source=formulation.source)
+
+
+def _said(at: Placed) -> str:
+    """What of the declared problem an answer says, in a remark."""
+    return f"v'Pv with its {', '.join(at.held)} held, the rest of the declared problem free" if at.held else at.why
 
 
 def _global(declared: Problem, wanted: Wanted, name: str, formulation: Global) -> Compared:
