@@ -139,7 +139,7 @@ def test_a_trial_written_out_as_one_row_is_the_trial_solved_with_stored_derivati
     fit, chosen = linearise_system(system, truth), estimate.problem.quantities
     u = covariance(fit).u
     small, large = (kind.sample(7, 0, 100) for kind in (
-        SmallTrials(system, fit, truth, chosen, 100), LargeTrials(system, fit, truth, chosen)))
+        SmallTrials(system, fit, truth, chosen, 100), LargeTrials(system, fit, truth, chosen, 100)))
     assert small[1].all() and large[1].all()
     assert np.abs((small[0] - large[0]) / u).max() < 1e-6
 
@@ -154,7 +154,8 @@ def test_held_quantities_are_drawn_alike_by_both_kinds_of_trials():
     system, truth = System(problem), dict(estimate.values)
     fit = linearise_system(system, truth)
     (small, _), (large, _) = (kind.sample(8, 3, 2000) for kind in (
-        SmallTrials(system, fit, truth, problem.quantities, 2000), LargeTrials(system, fit, truth, problem.quantities)))
+        SmallTrials(system, fit, truth, problem.quantities, 2000),
+        LargeTrials(system, fit, truth, problem.quantities, 2000)))
     u = covariance(fit).u
     # the two draw several groups in different orders, so that the spread alone is alike
     assert agree(small.std(axis=0, ddof=1), large.std(axis=0, ddof=1), 1000)
@@ -178,6 +179,20 @@ def test_a_longer_run_begins_with_the_shorter_one():
     shorter, longer = (montecarlo(estimate, trials, seed=10).samples for trials in (BLOCK, BLOCK + 700))
     np.testing.assert_array_equal(longer[:BLOCK], shorter)
     assert len(np.unique(longer[:, 0])) == len(longer)
+
+
+@pytest.mark.skipif(not available(), reason="llvmlite is not installed")
+def test_compiled_trials_of_a_network_are_those_of_numpy(monkeypatch, tmp_path):
+    monkeypatch.setenv("CALIB_CACHE", str(tmp_path))
+    problem, _, point = network(3, 30, 1)
+    distance = Quantity("distance", lambda a, b: ca.norm_2(a - b), point[0], point[1], unit="mm")
+    estimate = solve(problem.with_quantities(distance))
+    with row_back_end("numpy"):
+        first = montecarlo(estimate, 60, seed=15)
+    with row_back_end("compiled"):
+        second = montecarlo(estimate, 60, seed=15)
+    assert first.failures == second.failures == 0
+    assert np.abs((first.samples - second.samples) / first.linear_u).max() < 1e-6
 
 
 @pytest.mark.skipif(not available(), reason="llvmlite is not installed")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.blocks import Array, Mixing
+from calib.compiled import pays
 from calib.observations import Observations, Quantity
 from calib.system import System, Term
 from calib.uncertainty import Weighting
@@ -20,9 +21,15 @@ STEPS = 25  # Gauss-Newton steps at most; trials start at the truth, so that thr
 class Lanes:
     """A system whose trials run side by side: every unknown has one set of instances for each trial."""
 
-    def __init__(self, system: System, weightings: Sequence[Weighting]):
-        self.system, self.weightings = system, weightings
+    def __init__(self, system: System, weightings: Sequence[Weighting], expected: int):
+        self.system, self.weightings, self._expected = system, weightings, expected
         self.size = len(system.layout.free_columns)
+
+    def run(self, term: Term, wanted: tuple[bool, ...], values: dict[Unknown, Array], trials: int) -> Array:
+        """Outputs (outputs, trials n) of a row function, compiled where all the trials together repay it."""
+        program = term.traced.program(wanted)
+        compiled = pays(len(program), 3.0 * self._expected * term.n)
+        return program.run(self.inputs(term, values, trials), trials * term.n, compiled)
 
     def inputs(self, term: Term, values: dict[Unknown, Array], trials: int) -> list[Any]:
         """Input columns of a term for all trials, trial by trial."""
@@ -40,7 +47,7 @@ class Lanes:
         """Whitened residuals (trials, N) and derivatives (trials, N, p)."""
         residuals, matrices = [], []
         for term, weighting, reading in zip(self.system.terms, self.weightings, readings, strict=True):
-            result = term.traced.program(term.any_free)(self.inputs(term, values, trials), trials * term.n)
+            result = self.run(term, term.any_free, values, trials)
             predicted = result[: term.dim].reshape(term.dim, trials, term.n).transpose(1, 2, 0)
             residual = reading - predicted
             _unwrap(term, residual)
@@ -62,7 +69,7 @@ class Lanes:
         """Excess (trials, m) and derivatives (trials, m, p) of the equality constraints."""
         excess, matrices = [np.zeros((trials, 0))], [np.zeros((trials, 0, self.size))]
         for term in self.system.conditions:
-            result = term.traced.program(term.any_free)(self.inputs(term, values, trials), trials * term.n)
+            result = self.run(term, term.any_free, values, trials)
             value = result[: term.dim].reshape(term.dim, trials, term.n).transpose(1, 2, 0) - term.bound.lower
             matrix = np.zeros((trials, term.n, term.dim, self.size))
             begin = term.dim
@@ -113,8 +120,7 @@ class Lanes:
         pieces = []
         for quantity in quantities:
             term = self.system.results.get(quantity) or self.system.plain(quantity)
-            nothing = (False,) * len(term.feeds)
-            result = term.traced.program(nothing)(self.inputs(term, values, trials), trials * term.n)
+            result = self.run(term, (False,) * len(term.feeds), values, trials)
             pieces.append(result.reshape(term.dim, trials, term.n).transpose(1, 2, 0).reshape(trials, -1))
         return np.concatenate(pieces, axis=1)
 

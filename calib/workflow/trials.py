@@ -47,7 +47,7 @@ def trials_of(
     """
     if is_small(system) and not fit.factor.defect:
         return SmallTrials(system, fit, truth, quantities, expected)
-    return LargeTrials(system, fit, truth, quantities)
+    return LargeTrials(system, fit, truth, quantities, expected)
 
 
 class SmallTrials:
@@ -154,10 +154,11 @@ class LargeTrials:
     """Trials of a problem of any size, with equality constraints or without; derivatives are stored block by block."""
 
     def __init__(
-        self, system: System, fit: Linearisation, truth: dict[Unknown, Array], quantities: Sequence[Quantity]
+        self, system: System, fit: Linearisation, truth: dict[Unknown, Array], quantities: Sequence[Quantity],
+        expected: int,
     ):
         self._system, self._fit, self._truth, self._quantities = system, fit, truth, quantities
-        self._lanes = Lanes(system, [g.weighting for g in fit.groups])
+        self._lanes = Lanes(system, [g.weighting for g in fit.groups], expected)
         numbers = sum(g.residual.size for g in fit.groups) * max(self._lanes.size, 1)
         self.block = max(1, min(BLOCK, LANE_NUMBERS // max(1, numbers)))
         self._held: Considered = considered(fit)
@@ -182,8 +183,7 @@ class LargeTrials:
                 seen[unknown] = unknown.move(seen[unknown], moved)
         readings = []
         for term, group in zip(self._system.terms, self._fit.groups, strict=True):
-            nothing = (False,) * len(term.feeds)
-            predicted = term.traced.program(nothing)(self._lanes.inputs(term, seen, count), count * term.n)
+            predicted = self._lanes.run(term, (False,) * len(term.feeds), seen, count)
             predicted = predicted.reshape(term.dim, count, term.n).transpose(1, 2, 0)
             normal = stream.standard_normal((count, term.n, term.dim, 1))
             errors = np.empty((count, term.n, term.dim))
