@@ -272,24 +272,48 @@ def _few_enough(fit: calib.Linearisation, one: Any) -> dict[str, object]:
 # --- identification poses of the locators -------------------------------------------------------------------------
 
 
-def identification_poses() -> Rows:
-    """Which of 30 poses identify the errors: u of the balls' position errors predicted at the first pose."""
+def identification_poses(campaigns: int = 2) -> Rows:
+    """Which of 30 poses identify the errors, and the pose error that remains in 12 poses nobody fitted: the choice by D
+    against as many poses taken at random."""
     functions = tuple(f for key in "ABC" for f in error_functions(key))
-    where = campaign.drawn_poses(30, 1)
-    measured = campaign.measure(where, 1, further=functions)
-    problem = declare_measured(measured.setup, measured.axes, measured.targets, u_axis=campaign.U_AXIS,
-                               u_tracker=campaign.U_TRACKER)
-    problem = identification.with_knowledge(identification.with_error_functions(problem))
-    fit = calib.linearise(problem)
-    wanted = [u for u in problem.unknowns if u.name.startswith("positioning")]
-    parts = [u.part("constant") for u in wanted if "constant" in u.parts]
+    known = identification.Knowledge()
     rows: Rows = []
-    for keep in (4, 6, 8, 12, 16, 24):
-        best = calib.select(fit, keep, A(*parts), by="pose")
-        rows.append({"poses": keep, "rms u of the position errors [um]": np.sqrt(best.value / len(parts)) * mm / um
-                     if parts[0].unknown.units[0] == "mm" else np.sqrt(best.value / len(parts)),
-                     "gap to the bound": best.gap, "chosen": ", ".join(x.removeprefix("pose ") for x in best.labels)})
+    for keep in (6, 10, 16):
+        left: dict[str, list[float]] = {"chosen": [], "random": []}
+        choices = []
+        for seed in range(campaigns):
+            generator = np.random.default_rng([seed, 2])
+            truth = {f.label: generator.normal(0.0, known.u(f)) for f in functions}
+            measured = campaign.measure(campaign.drawn_poses(42, seed), seed, truth, further=functions, checks=12)
+            fit = calib.linearise(identification.with_knowledge(_of_poses(measured, None), known))
+            choices.append(calib.select(fit, keep, D(), by="pose"))
+            chosen = [int(label.removeprefix("pose ")) for label in choices[-1].labels]
+            poses = np.unique(measured.axes.where(measured.axes.split == "fit").pose)
+            for words, some in (("chosen", chosen), ("random", poses[:keep].tolist())):      # drawn at random anyway
+                left[words].append(_remaining(measured, some, known))
+        rms = {words: float(np.sqrt(np.mean(np.square(errors)))) for words, errors in left.items()}
+        rows.append({"poses": keep, "pose error, chosen [um]": rms["chosen"], "pose error, random [um]": rms["random"],
+                     "gap to the bound": max(c.gap for c in choices),
+                     "chosen in the first campaign": ", ".join(x.removeprefix("pose ") for x in choices[0].labels)})
     return rows
+
+
+def _of_poses(measured: campaign.Campaign, poses: Sequence[int] | None) -> Problem:
+    """The problem of some poses of a campaign, or of all that are for fitting, with all error functions free."""
+    def fitted(readings: Any) -> Any:
+        return readings.where(readings.split == "fit" if poses is None else np.isin(readings.pose, poses))
+
+    return identification.with_error_functions(declare_measured(
+        measured.setup, fitted(measured.axes), fitted(measured.targets), u_axis=campaign.U_AXIS,
+        u_tracker=campaign.U_TRACKER))
+
+
+def _remaining(measured: campaign.Campaign, poses: Sequence[int], known: identification.Knowledge) -> float:
+    """Pose error [um] in the poses for checking, after identification in some poses."""
+    found = identification.identified(identification.identify(_of_poses(measured, poses), known))
+    checks = measured.axes.where(measured.axes.split == "check")
+    estimated = identification.poses_from_axes(measured.setup, checks, campaign.U_AXIS, found)
+    return identification.pose_error(measured.setup, estimated, measured.part[-12:]) / um
 
 
 # --- files --------------------------------------------------------------------------------------------------------
