@@ -179,17 +179,18 @@ def _fixed_by_cost(relaxed: Relaxed, limits: Limits, lower: Array, upper: Array,
     return lower, upper
 
 
-def _improved(objective: Objective, limits: Limits, chosen: list[int]) -> list[int]:
+def improved(objective: Objective, limits: Limits, chosen: list[int]) -> list[int]:
     """An exchange, where that does not end in a choice that hides what is asked for."""
     found = exchange(objective, limits, chosen)
     return found if objective.loss(found) < objective.loss(chosen) else chosen
 
 
-def begun(objective: Objective, limits: Limits, relaxed: Relaxed | None) -> list[int]:
-    """The best of greedy with exchange and, where there is one, of the rounded relaxation with exchange."""
-    found = exchange(objective, limits, greedy(objective, limits))
+def begun(objective: Objective, limits: Limits, relaxed: Relaxed | None, found: list[int] | None = None) -> list[int]:
+    """The best of greedy with exchange (or what was found already) and of the rounded relaxation with exchange."""
+    if found is None:
+        found = exchange(objective, limits, greedy(objective, limits))
     if not np.isfinite(objective.loss(found)) and objective.count <= MANY:
-        found = _improved(objective, limits, backward(objective, limits))
+        found = improved(objective, limits, backward(objective, limits))
     if relaxed is None:
         return found
     n = objective.count
