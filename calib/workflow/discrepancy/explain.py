@@ -22,7 +22,6 @@ from calib.workflow.discrepancy.structure import Place, Screen, described, patte
 
 ROUNDS = 4  # of naming and refitting, so that a curved model is judged where it is
 MOST_NAMED = 3  # effects up to which a sum of them is an answer; more is structure without a name
-CROWD = 0.06  # share of readings beyond which blunders are no blunders but heavy tails
 RARE = 4.0  # what a blunder costs beside its choice: readings go wrong less often than noise is misjudged
 ADVANTAGE = 6.0  # by which peculiar noise must beat plain noise, and a structure without a name a named effect
 
@@ -78,7 +77,7 @@ def explain(
     if best.noise.kind not in (STATED, SCALED) and best.finding is not finding and not noise:
         # Something was significant, and this noise accounts for it better than any effect.
         noise = (NoiseTest(best.noise.kind, best.noise.where, best.noise.correlation, level),)
-    verdict = _verdict(best, named, outliers, noise, scene)
+    verdict = _verdict(best, named, outliers, noise)
     judged = Judgement(verdict, best.finding, named, outliers, best.structure, noise, best.noise)
     return conclude(problem, before, estimate, nominal, scene, judged, check, tuple(remarks), screen)
 
@@ -215,13 +214,12 @@ def _noise(scene: Scene, best: _Account, level: float, seed: int) -> tuple[Noise
 
 
 def _verdict(
-    best: _Account, named: Sequence[Candidate], outliers: Sequence[int], noise: Sequence[NoiseTest], scene: Scene
+    best: _Account, named: Sequence[Candidate], outliers: Sequence[int], noise: Sequence[NoiseTest]
 ) -> str:
-    crowd = len(outliers) > max(2, CROWD * len(np.unique(row_numbers(scene.fit))))
     if best.structure or len(named) > MOST_NAMED:
         return "unknown-structure"
     if named:
         return "effects"
-    if crowd or noise:
+    if noise and not (outliers and best.noise.kind == STATED):
         return "noise-misstated"
     return "outliers" if outliers else "consistent"
