@@ -1,7 +1,7 @@
 """Algebraic, pairwise and orthogonal fits of a circle on arcs from 20 to 330 degrees and under five kinds of noise.
 
 Run: python benchmarks/formulations_circle.py [trials]; writes benchmarks/results/formulations_circle.md and .png.
-24 points on a radius of 100 mm, u = 10 um on each coordinate. Bias, spread and efficiency are those of the radius;
+24 points on a radius of 100 mm, u = 50 um on each coordinate. Bias, spread and efficiency are those of the radius;
 efficiency is the Cramer-Rao bound of the declared problem over the mean square error.
 """
 
@@ -20,7 +20,7 @@ from calib.units import degree, um
 from problems import circle, circle_formulations
 
 RESULTS = Path(__file__).parent / "results"
-RADIUS, NOISE, POINTS = 0.1, 10.0 * um, 24
+RADIUS, NOISE, POINTS = 0.1, 50.0 * um, 24
 ARCS = (20, 45, 90, 180, 330)
 Fit = Callable[[calib.Problem], float]
 

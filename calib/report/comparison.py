@@ -159,12 +159,14 @@ def _results(comparison: Comparison) -> Grid:
 
 
 def _refused(comparison: Comparison) -> Grid | None:
-    rows = [[_called(line).rstrip(": "), Cell(line.why, "prose")] for line in comparison.refused]
+    rows: list[list[str | Cell]] = [[_called(line).rstrip(": "), Cell(line.why, "prose")]
+                                    for line in comparison.refused]
     return Grid(["refuses", "why"], rows) if rows else None
 
 
 def _notes(comparison: Comparison) -> Grid | None:
-    rows = [[_called(line), Cell(line.note, "prose")] for line in comparison.lines if line.accepted and line.note]
+    rows: list[list[str | Cell]] = [[_called(line), Cell(line.note, "prose")]
+                                    for line in comparison.lines if line.accepted and line.note]
     return Grid(["formulation: method", "remark"], rows) if rows else None
 
 

@@ -142,7 +142,8 @@ def said_by(estimate: Estimate, names: Sequence[str]) -> dict[str, Any]:
         held = estimate.problem.is_held(unknown)
         if unknown.name not in names or held.all():
             continue
-        parts = tuple(p for p, all_held in zip(unknown.parts, held.any(axis=0), strict=True) if not all_held)
+        parts = tuple(p for p, all_held in zip(unknown.parts, np.any(held, axis=0).tolist(), strict=True)
+                      if not all_held)
         whole = unknown.kind != "vector" or not held.any()
         if whole or parts:
             found[unknown.name] = estimate[unknown] if whole else Partly(estimate[unknown], parts)

@@ -269,5 +269,5 @@ def _with_starts(lines: Sequence[Compared], formulations: Mapping[str, Formulati
         if not around.converged:
             yield line
             continue
-        method = replace(by_name[line.method], iterations=PATIENCE)  # type: ignore[call-arg]
+        method = replace(by_name[line.method], iterations=PATIENCE)  # type: ignore[type-var]
         yield replace(line, starts=starts(problem, method, around, its, effort.starts, effort.seed, effort.seconds))
