@@ -339,7 +339,7 @@ def main() -> None:
               ("The experiment against the best layout on its lines", experiment_against_best()),
               ("The next best point after two lines", first_point()),
               ("Turntable: arc, number, radius", arcs()), ("Turntable: the best eight of 37", best_on_arc()),
-              ("Five-axis: which readings each result needs", five_axis_positions()),
+              ("Five-axis: the fewest readings found that hold u of each result within 10 %", five_axis_positions()),
               ("Locators: identification poses", identification_poses())]
     text = "\n\n".join(f"## {title}\n\n{table(rows)}" for title, rows in parts)
     RESULTS.mkdir(exist_ok=True)

@@ -26,6 +26,7 @@ from calib.blocks import Array
 from calib.errors import InputError, RankDefect
 from calib.linearisation import Linearisation
 
+LOST = 1e5        # times the u of all candidates, from which on a quantity counts as not known
 FEW = 20_000      # subsets up to which all are looked at where no method was named
 
 
@@ -120,7 +121,13 @@ def select(fit: Linearisation, keep: int | None = None, criterion: Any = None, *
     seconds = perf_counter() - begin
     value, limit = request.value(loss), request.value(min(bound, loss))
     gap = 1.0 - value / limit if request.criterion.largest_is_best else value / limit - 1.0
-    functions = fit.functions(*report) if report else request.criterion.asked(fit) or fit.functions()
+    asked = request.criterion.asked(fit)
+    # The analysis of the kept rows has the last word on what can be known: its rank decision is the sharper one.
+    if asked is not None:
+        promised = _promises(fit, request.candidates, chosen, asked)
+        if any(p.u_chosen > LOST * p.u_all for p in promised if p.u_all > 0):
+            raise _unknowable(request, chosen)
+    functions = fit.functions(*report) if report else asked or fit.functions()
     return Choice(
         criterion=request.criterion.name, method=name, keep=request.limits.keep, chosen=tuple(sorted(chosen)),
         labels=tuple(request.candidates.labels[i] for i in sorted(chosen)), rows=request.candidates.rows_of(chosen),
