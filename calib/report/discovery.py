@@ -121,7 +121,8 @@ def _before_and_after(one: Picture) -> Figure:
         for number, key in enumerate(dict.fromkeys(one.keys)):
             chosen = one.keys == key
             ax.scatter(one.x[chosen], residual[chosen], s=14, linewidths=0, alpha=0.85,
-                       color=plots.SERIES[number % len(plots.SERIES)], label=str(key))
+                       color=plots.SERIES[number % len(plots.SERIES)],
+                       label=f"{one.key_label.replace('_', ' ')} {key}")
         ax.set_title(title, loc="left")
         ax.set_xlabel(one.label)
     axes[0].set_ylabel("residual / u")
@@ -129,8 +130,7 @@ def _before_and_after(one: Picture) -> Figure:
     for ax in axes:
         ax.set_ylim(-reach, reach)
     if 1 < len(set(one.keys.tolist())) <= 4:
-        named = [f"{one.key_label.replace('_', ' ')} {key}" for key in dict.fromkeys(one.keys.tolist())]
-        axes[1].legend(named, frameon=False, labelcolor=plots.INK, fontsize=8, ncols=4, loc="lower right",
+        axes[1].legend(frameon=False, labelcolor=plots.INK, fontsize=8, ncols=4, loc="lower right",
                        bbox_to_anchor=(1, 1), borderaxespad=0)
     return figure
 

@@ -46,7 +46,11 @@ def pictures(found: Explanation, count: int) -> list[Picture]:
     fit = linearise(found.before)
     lines = {c.name: c for c in channels(fit, problem)}
     before, after = fit.rows[1], _whitened(found, fit.rows[1])
-    wanted = [(p.channel.split(", ")[0], p.covariate) for p in found.where]
+    shown = [(p.channel.split(", ")[0], p.covariate) for p in found.where]
+    # What drives a named effect comes first, in the channel that shows most.
+    drivers = [name for e in found.effects for a in problem.attached if a.effect.name == e.name
+               for name in a.effect.inputs]
+    wanted = [(channel, name) for channel, _ in shown[:1] for name in dict.fromkeys(drivers)] + shown
     drawn: list[Picture] = []
     for name, covariate in dict.fromkeys(wanted):
         values = lines[name].covariates.get(covariate) if name in lines else None
