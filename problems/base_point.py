@@ -139,6 +139,8 @@ class AdjustedCoordinates:
 
 Zero = FreeStart | TiedStart | AbsoluteRange
 Coordinates = ExactCoordinates | ProjectedCoordinates | AdjustedCoordinates
+COORDINATES: dict[str, Coordinates] = {"exact": ExactCoordinates(), "projected": ProjectedCoordinates(),
+                                       "adjusted": AdjustedCoordinates()}
 
 
 # --- the declaration ------------------------------------------------------------------------------------------------
@@ -297,13 +299,11 @@ def from_job(job: Job) -> Problem:
     tracker.text("kind", "tracking_interferometer", ("tracking_interferometer",))
     sense = COUNTS[tracker.text("counts", among=tuple(COUNTS))]
     zeros = _zeros(job)
-    choices: dict[str, Coordinates] = {"exact": ExactCoordinates(),
-                                       "projected": ProjectedCoordinates(), "adjusted": AdjustedCoordinates()}
-    choice = options.text("coordinates", "exact", tuple(choices))
+    choice = options.text("coordinates", "exact", tuple(COORDINATES))
     if choice != "exact" and not np.all(lines.u_coordinate > 0):
         raise InputError(f"{options.where('coordinates')}: '{choice}' needs the uncertainty of the coordinates; name "
                          "the instrument that read them in options.line_instrument, with its u, and add column line")
-    problem = declare(lines, zeros[options.text("start_reading", "free", tuple(zeros))], choices[choice], sense,
+    problem = declare(lines, zeros[options.text("start_reading", "free", tuple(zeros))], COORDINATES[choice], sense,
                       options.quantity("base_point", "length", None))
     middle, half = (lines.points.max(axis=0) + lines.points.min(axis=0)) / 2, np.ptp(lines.points, axis=0) / 2
     return with_recorded_effects(problem, lines, middle, np.where(half > 0, half, 1.0))
@@ -331,6 +331,9 @@ def formulations(job: Job) -> dict[str, Formulation]:
         lines, sense = base_point_lines.of_job(job), COUNTS[job.instrument("lines").text("counts", among=tuple(COUNTS))]
         found = {f"start {name}": declare(lines, zero, sense=sense) for name, zero in _zeros(job).items()
                  if name != "absolute"}
+        if np.all(lines.u_coordinate > 0):           # errors in variables beside ordinary least squares
+            zero = _zeros(job)[job.options.text("start_reading", "free")]
+            found |= {f"coordinates {name}": declare(lines, zero, one, sense) for name, one in COORDINATES.items()}
     if len(np.unique(lines.tracker)) == len(np.unique(lines.zeroing)) == 1:
         found["difference of squares"] = linear(lines, sense, problem)
     return {**found, "global bound": base_point_bound.of_readings(lines, sense)}

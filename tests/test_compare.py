@@ -165,6 +165,23 @@ def test_a_base_point_on_two_lines_is_proven_global_where_its_start_is_free(tmp_
     assert bound.proven is (start == "free") and 0.0 < bound.lower <= bound.objective * (1 + 1e-12)
 
 
+def test_coordinates_with_an_uncertainty_bring_errors_in_variables_beside_ordinary_least_squares(tmp_path):
+    path = job_of(base_point, tmp_path)
+    text = path.read_text().replace("[options]", '[instruments.laser]\nkind = "interferometer"\nu = "2 um"\n[options]\n'
+                                    'line_instrument = "laser"')
+    path.write_text(text)
+    job = Job.read(path)
+    found = {name: calib.solve(problem) for name, problem in base_point.formulations(job).items()
+             if name.startswith("coordinates")}
+    u = {name: calib.covariance(calib.linearise(one), "base_point").u for name, one in found.items()}
+    assert set(found) == {"coordinates exact", "coordinates projected", "coordinates adjusted"}
+    assert np.all(u["coordinates projected"] > 1.2 * u["coordinates exact"])
+    # with every coordinate read once, projecting is what adjusting does to first order
+    away = found["coordinates adjusted"]["base_point"] - found["coordinates projected"]["base_point"]
+    assert np.abs(away / u["coordinates adjusted"]).max() < 0.1
+    assert u["coordinates adjusted"] == pytest.approx(u["coordinates projected"], rel=0.02)
+
+
 def test_an_absolute_base_point_starts_from_the_trust_region_and_is_proven(tmp_path):
     path = job_of(base_point, tmp_path)
     truth = np.array([-0.2, 1.4, -0.23])
