@@ -50,7 +50,9 @@ def pictures(found: Explanation, count: int) -> list[Picture]:
     # What drives a named effect comes first, in the channel that shows most.
     drivers = [name for e in found.effects for a in problem.attached if a.effect.name == e.name
                for name in a.effect.inputs]
-    wanted = [(channel, name) for channel, _ in shown[:1] for name in dict.fromkeys(drivers)] + shown
+    driven = [(channel, name) for channel, name in shown if name in drivers]
+    driven += [(channel, name) for channel, _ in shown[:1] for name in dict.fromkeys(drivers)]
+    wanted = [*driven, *shown]
     drawn: list[Picture] = []
     for name, covariate in dict.fromkeys(wanted):
         values = lines[name].covariates.get(covariate) if name in lines else None
