@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from calib.solve.convex import Convex
     from calib.solve.ipopt import ExactHessian, GaussNewtonHessian, Ipopt
     from calib.solve.loss import L1, Huber, LeastSquares, MinimumZone
+    from calib.solve.robust import RobustEstimate, Truncated, robust
     from calib.workflow.discrepancy.explain import Explanation, explain
-    from calib.workflow.montecarlo import MonteCarlo, montecarlo
+    from calib.workflow.montecarlo import Adaptive, MonteCarlo, montecarlo
 
 _LATER = {
     "analyse.budget": ("Budget", "budget"),
@@ -44,8 +45,9 @@ _LATER = {
     "solve.convex": ("Convex",),
     "solve.ipopt": ("ExactHessian", "GaussNewtonHessian", "Ipopt"),
     "solve.loss": ("L1", "Huber", "LeastSquares", "MinimumZone"),
+    "solve.robust": ("RobustEstimate", "Truncated", "robust"),
     "workflow.discrepancy.explain": ("Explanation", "explain"),
-    "workflow.montecarlo": ("MonteCarlo", "montecarlo"),
+    "workflow.montecarlo": ("Adaptive", "MonteCarlo", "montecarlo"),
 }
 _WHERE = {name: f"calib.{module}" for module, names in _LATER.items() for name in names}
 
@@ -63,6 +65,7 @@ def __dir__() -> list[str]:
 __all__ = [
     "L1",
     "A",
+    "Adaptive",
     "BranchAndBound",
     "Budget",
     "C",
@@ -102,8 +105,10 @@ __all__ = [
     "Quantity",
     "Relaxation",
     "Reliability",
+    "RobustEstimate",
     "Rotation",
     "Shared",
+    "Truncated",
     "Unknown",
     "VarianceComponents",
     "WorstCase",
@@ -118,6 +123,7 @@ __all__ = [
     "predict",
     "prior",
     "reliability",
+    "robust",
     "select",
     "simulate",
     "solve",
