@@ -131,7 +131,7 @@ def _before_and_after(one: Picture) -> Figure:
         ax.set_ylim(-reach, reach)
     if 1 < len(set(one.keys.tolist())) <= 4:
         axes[1].legend(frameon=False, labelcolor=plots.INK, fontsize=8, ncols=4, loc="lower right",
-                       bbox_to_anchor=(1, 1), borderaxespad=0)
+                       bbox_to_anchor=(1, 1), borderaxespad=0, columnspacing=0.7, handletextpad=0.1)
     return figure
 
 
