@@ -198,6 +198,7 @@ def test_an_absolute_base_point_starts_from_the_trust_region_and_is_proven(tmp_p
     assert formulation.bound(calib.solve(problem)).proven
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_comparison_and_a_page(tmp_path, calib_command):
     path = job_of(base_point, tmp_path)
     answer = calib_command("compare", path, "--out", tmp_path / "out", "--starts", 10, "--draws", 5, "--seconds", 1)

@@ -22,6 +22,7 @@ def at_most(rate: float, count: int) -> int:
 
 
 @pytest.mark.parametrize("scenario", QUICK)
+@pytest.mark.slow
 def test_a_clear_effect_is_named_or_its_aliases_are(scenario):
     found = [outcome(hide_effects(scenario, SEED + seed, 1, 5.0), gap=False) for seed in range(4)]
     assert sum(not one.or_alias for one in found) <= at_most(0.05, 4)
@@ -35,6 +36,7 @@ def test_nothing_is_found_in_clean_readings(scenario):
 
 
 @pytest.mark.parametrize("scenario", QUICK)
+@pytest.mark.slow
 def test_a_structure_without_a_name_is_not_given_one(scenario):
     found = [outcome(hide_structure(scenario, SEED + seed, 3.0)) for seed in range(3)]
     assert sum(not one.right for one in found) <= at_most(0.05, 3)

@@ -49,6 +49,7 @@ def test_sharing_is_accepted_for_the_targets_and_refused_for_one_filament():
     assert {one.target: one.accepted for one in fits().wires} == {"S3": True, "S2": False}
 
 
+@pytest.mark.slow
 def test_sharing_reduces_u_of_the_centres_fourfold_and_moves_them_by_no_more_than_their_scatter():
     for key in ("A_hz", "A_v", "B_hz", "B_v"):
         item = reproduction()[key]

@@ -138,6 +138,7 @@ def test_the_eigenvalue_bound_of_circle_and_sphere_leaves_a_gap_of_the_size_of_u
     assert 0.0 < bound.gap < 1e-4 and bound.lower < estimate.objective
 
 
+@pytest.mark.slow
 def test_no_bound_is_above_the_objective_in_200_random_problems():
     generator = np.random.default_rng(7)
     for _ in range(50):

@@ -110,6 +110,7 @@ HIDDEN = {
 
 
 @each_instrument
+@pytest.mark.slow
 def test_every_effect_of_an_instrument_is_recovered_where_the_data_see_it(instrument):
     name = instrument.__name__.rpartition(".")[2]
     assert set(check_recovery(first_example(instrument), 1)) == HIDDEN.get(name, set())

@@ -134,6 +134,7 @@ def held_out(measured, name):
                  for known in (None, functions))
 
 
+@pytest.mark.slow
 def test_identified_errors_bring_poses_that_were_held_out_nearer_to_the_truth_but_not_from_encoders_alone(measured):
     nine, six, alone = (held_out(measured, name) for name in ("nine axes", "six axes", "encoders alone"))
     assert nine[1] < 0.75 * nine[0] and six[1] < 0.75 * six[0]

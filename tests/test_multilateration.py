@@ -148,6 +148,7 @@ def test_the_budget_of_a_measured_coordinate_adds_up_to_the_volume():
     assert np.sqrt(readings) == pytest.approx(volume.from_readings[1, 2], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_monte_carlo_of_both_steps_confirms_the_uncertainty_of_measured_targets():
     """Calibrate on simulated lines, then measure with what came out: the spread of the coordinates about the truth."""
     plan, place = on_lines(), {"P": np.array([0.7, 0.9, 0.6])}

@@ -106,6 +106,7 @@ def digits(found, certified):
 
 @pytest.mark.parametrize("start", [1, 2])
 @pytest.mark.parametrize("name", MODELS)
+@pytest.mark.slow
 def test_certified_parameters_and_standard_errors_come_back(name, start):
     first, second, certified, errors, spread, y, x = read(name)
     b = Unknown("b", first if start == 1 else second)

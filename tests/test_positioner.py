@@ -31,6 +31,7 @@ def test_the_simulated_errors_come_back_within_four_standard_uncertainties(simul
     assert np.all(np.abs(found.values - list(TRUTH.values())) < 4 * found.u)
 
 
+@pytest.mark.slow
 def test_the_stated_intervals_cover_the_truth_in_fifty_repetitions(simulated):
     problem, estimate = simulated
     parameters = [problem.parameters(name) for name in TRUTH]
@@ -101,6 +102,7 @@ def test_poses_that_move_one_axis_only_are_refused():
 
 
 @needs_real_data
+@pytest.mark.slow
 def test_the_real_positioner_is_identified_and_predicts_poses_that_were_not_used(monkeypatch):
     monkeypatch.setenv("CALIB_REFERENCE_DATA", str(REAL))
     job = Job.read(Path(__file__).parents[1] / "problems" / "data" / "positioner" / "measured.toml")

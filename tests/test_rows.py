@@ -135,6 +135,7 @@ def test_derivatives_are_those_of_finite_differences(name, number):
 
 
 @pytest.mark.parametrize(("name", "number"), ALL)
+@pytest.mark.slow
 def test_second_derivatives_are_those_of_finite_differences(name, number):
     term, values = bound_model(name, number)
     if term.traced.affine or not any(term.any_free):

@@ -92,6 +92,7 @@ CRITERIA = {"D": lambda c: D(), "A": lambda c: A(c), "E": lambda c: E(c), "G": l
 
 @pytest.mark.parametrize("name", CRITERIA)
 @pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.slow
 def test_branch_and_bound_finds_what_exhaustive_search_finds_and_no_bound_is_beaten(name, seed):
     problem, unknown = curve(scattered(14, seed))
     fit = calib.linearise(problem)

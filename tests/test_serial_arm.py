@@ -24,6 +24,7 @@ def job_folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_postures_that_were_not_used_are_predicted_far_better_than_by_the_urdf(job_folder):
     job = Job.read(job_folder / "job.toml")
     estimate = calib.solve(serial_arm.from_job(job))
@@ -78,6 +79,7 @@ def test_a_file_of_another_arm_is_named_with_its_line(job_folder, tmp_path):
 
 
 @needs_real_data
+@pytest.mark.slow
 def test_the_real_arm_calibrated_in_front_is_better_everywhere(monkeypatch):
     monkeypatch.setenv("CALIB_REFERENCE_DATA", str(REAL))
     job = Job.read(Path(__file__).parents[1] / "problems" / "data" / "serial_arm" / "panda.toml")

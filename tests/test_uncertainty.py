@@ -65,6 +65,7 @@ def test_every_uncertainty_gives_what_generalised_least_squares_gives(name):
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.slow
 def test_drawn_errors_have_the_stated_covariance(name):
     u, sigma = CASES[name]
     weighting = (u if isinstance(u, Gaussian) else Gaussian.standard(u)).weighting(6, 1, "drawn")
