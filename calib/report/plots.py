@@ -63,7 +63,7 @@ def canvas(height: float, fitted: bool = False) -> tuple[Figure, Any]:
     figure = Figure(figsize=(WIDTH, height), layout="constrained" if fitted else None)
     axes = figure.subplots()
     if not fitted:
-        figure.subplots_adjust(left=0.55 / WIDTH, right=1 - 0.08 / WIDTH, bottom=0.48 / height, top=1 - 0.26 / height)
+        figure.subplots_adjust(left=0.74 / WIDTH, right=1 - 0.08 / WIDTH, bottom=0.48 / height, top=1 - 0.26 / height)
     style(axes)
     return figure, axes
 
