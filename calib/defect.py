@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from calib import units
@@ -60,9 +58,9 @@ def cure(names: str) -> str:
     )
 
 
-def defect_in_words(layout: Layout, null: Array, sizes: Callable[[], Array]) -> list[str]:
-    """Each direction of a null space (p, k) as a sentence with its cure."""
-    basis = simplest_basis(null, sizes())
+def defect_in_words(layout: Layout, null: Array, sizes: Array) -> list[str]:
+    """Each direction of a null space (p, k) as a sentence with its cure; sizes: (p,) of the columns."""
+    basis = simplest_basis(null, sizes)
     sentences = []
     for k in range(basis.shape[1]):
         words = direction_in_words(layout, basis[:, k])

@@ -24,6 +24,11 @@ class Conditions:
         """No conditions on `size` columns."""
         return Conditions(np.zeros((0, size)), np.zeros(0))
 
+    @property
+    def basis(self) -> Array:
+        """Directions (p, q) that keep the conditions: all of them where there is none."""
+        return null_space(self.matrix, self.target)[0] if len(self.target) else np.eye(self.matrix.shape[1])
+
     def pinned(self, places: Index, values: Array) -> Conditions:
         """The same with the columns `places` set to values."""
         rows = np.zeros((len(places), self.matrix.shape[1]))

@@ -196,6 +196,13 @@ class Linearisation:
         (N,)."""
         return sparse_rows(self.blocks, self.layout)
 
+    @cached_property
+    def sizes(self) -> Array:
+        """Size (p,) of each free column in whitened readings, so that directions in different units compare."""
+        derivatives, _ = self.rows
+        norm = np.sqrt(np.asarray(derivatives.multiply(derivatives).sum(axis=0)).ravel())
+        return np.where(norm > 0, norm, 1.0)
+
     def held_columns(self, columns: Sequence[int]) -> Array:
         """Whitened derivatives (N, k) with respect to held columns, rows as in `rows`."""
         position = np.full(self.layout.size, -1)

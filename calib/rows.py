@@ -27,10 +27,6 @@ def _remainder(x: Any, y: Any) -> Any:
     return np.where(beyond, part - np.copysign(y, part), part)
 
 
-def _copysign_sign(x: Any) -> Any:
-    return np.sign(x)
-
-
 _UNARY: dict[str, Callable[..., Any]] = {
     "ASSIGN": lambda x: x,
     "NEG": np.negative,
@@ -49,7 +45,7 @@ _UNARY: dict[str, Callable[..., Any]] = {
     "FLOOR": np.floor,
     "CEIL": np.ceil,
     "FABS": np.abs,
-    "SIGN": _copysign_sign,
+    "SIGN": np.sign,
     "ERF": _erf,
     "INV": lambda x: 1.0 / x,
     "SINH": np.sinh,

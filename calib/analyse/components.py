@@ -55,7 +55,7 @@ def variance_components(
     chosen = (
         {name: tuple(groups) for name, groups in sets.items()} if isinstance(sets, Mapping) else {n: (n,) for n in sets}
     )
-    basis = _null_basis(fit)
+    basis = fit.conditions.basis
     rest = [g.name for g in fit.groups if g.name not in {x for groups in chosen.values() for x in groups}]
     normals, pulls, squares, sizes = [], [], [], []
     for groups in [*chosen.values(), tuple(rest)]:
@@ -106,15 +106,6 @@ def variance_components(
         1 / spread,
         redundancy,
     )
-
-
-def _null_basis(fit: Linearisation) -> Array:
-    size = len(fit.layout.free_columns)
-    if not len(fit.conditions.target):
-        return np.eye(size)
-    from calib.factor import null_space
-
-    return null_space(fit.conditions.matrix, fit.conditions.target)[0]
 
 
 def _sums(fit: Linearisation, groups: Sequence[str], basis: Array) -> tuple[Array, Array, float, int]:

@@ -95,22 +95,15 @@ def refuse_what_cannot_be_known(fit: Linearisation, functions: Functions) -> Non
     if not fit.factor.defect:
         return
     derivatives, null = fit.free_part(functions.derivatives), fit.factor.null
-    size = sizes(fit)      # without it the rounding in a null direction would count as much as the direction itself
+    size = fit.sizes      # without it the rounding in a null direction would count as much as the direction itself
     share = np.outer(np.linalg.norm(derivatives / size, axis=1), np.linalg.norm(null * size[:, None], axis=0))
     hidden = np.flatnonzero(np.any(np.abs(derivatives @ null) > 1e-7 * share, axis=1))
     if len(hidden):
-        sentences = defect_in_words(fit.layout, null, lambda: sizes(fit))
+        sentences = defect_in_words(fit.layout, null, size)
         raise RankDefect(
             f"'{functions.labels[hidden[0]]}' cannot be known from these readings: {'; '.join(sentences)}.",
             directions=sentences,
         )
-
-
-def sizes(fit: Linearisation) -> Array:
-    """Size (p,) of each free column in whitened readings, so that directions in different units compare."""
-    derivatives, _ = fit.rows
-    norm = np.sqrt(np.asarray(derivatives.multiply(derivatives).sum(axis=0)).ravel())
-    return np.where(norm > 0, norm, 1.0)
 
 
 def covariance(fit: Linearisation, *what: Any) -> Covariance:

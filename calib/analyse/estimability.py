@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from calib.analyse.covariance import sizes
 from calib.defect import defect_in_words
 from calib.linearisation import Linearisation
 
@@ -24,5 +23,5 @@ def estimability(fit: Linearisation) -> Estimability:
 
     fit: a linearisation. Returns the rank defect, its directions in words, and the condition number.
     """
-    directions = defect_in_words(fit.layout, fit.factor.null, lambda: sizes(fit)) if fit.factor.defect else []
+    directions = defect_in_words(fit.layout, fit.factor.null, fit.sizes) if fit.factor.defect else []
     return Estimability(fit.factor.defect, tuple(directions), fit.factor.condition)

@@ -139,7 +139,7 @@ def solve(
             if sum(g.size for g in fit.groups) >= len(system.layout.free_columns)
             else (f" ({sum(g.size for g in fit.groups)} readings for {len(system.layout.free_columns)} unknowns)")
         )
-        sentences = defect_in_words(system.layout, fit.factor.null, lambda: _sizes(fit))
+        sentences = defect_in_words(system.layout, fit.factor.null, fit.sizes)
         raise RankDefect(
             f"{problem.name}: {fit.factor.defect} direction(s) of the unknowns cannot be known{fewer}: "
             + "; ".join(sentences)
@@ -148,13 +148,6 @@ def solve(
         )
     certificate = certify(system, outcome.values, fit, outcome.gap, method.least_squares)
     return Estimate(problem, method.name, outcome.converged, iterations, outcome.message, certificate, fit)
-
-
-def _sizes(fit) -> Array:  # type: ignore[no-untyped-def]
-    """Size of each free column in whitened readings, so that directions in different units compare."""
-    matrix, _ = fit.rows
-    norm = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=0)).ravel())
-    return np.where(norm > 0, norm, 1.0)
 
 
 def start_values(system: System, start: Estimate | Mapping[Any, Any] | None) -> dict[Unknown, Array]:

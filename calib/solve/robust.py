@@ -16,7 +16,6 @@ from scipy.special import erf
 
 from calib.blocks import Array
 from calib.errors import CalibrationError
-from calib.factor import null_space
 from calib.linearisation import Group, Linearisation, linearise
 from calib.problem import Problem
 from calib.solve.estimate import Estimate, solve
@@ -73,9 +72,7 @@ class RobustEstimate:
         """
         functions = self.fit.functions(*what)
         rows, _ = self.fit.rows
-        basis = np.eye(rows.shape[1])
-        if len(self.fit.conditions.target):
-            basis = null_space(self.fit.conditions.matrix, self.fit.conditions.target)[0]
+        basis = self.fit.conditions.basis
         inner = rows @ basis
         slope = inner.T @ (self.influence[:, None] * inner)
         try:

@@ -43,23 +43,25 @@ class Lanes:
                 columns += list(np.ascontiguousarray(gathered.reshape(trials * term.n, -1).T))
         return columns
 
+    def derived(self, term: Term[Any], values: dict[Unknown, Array], trials: int) -> tuple[Array, Array]:
+        """Predictions (trials, n, dim) of a term and their derivatives (trials, n, dim, p)."""
+        result = self.run(term, term.any_free, values, trials)
+        matrix, begin = np.zeros((trials, term.n, term.dim, self.size)), term.dim
+        for columns, source, want in zip(term.columns, term.traced.sources, term.any_free, strict=True):
+            if want:
+                end = begin + term.dim * source.freedom
+                piece = result[begin:end].reshape(source.freedom, term.dim, trials, term.n)
+                _scatter(matrix, piece, self.system.layout.position[columns])
+                begin = end
+        return result[: term.dim].reshape(term.dim, trials, term.n).transpose(1, 2, 0), matrix
+
     def rows(self, values: dict[Unknown, Array], readings: Sequence[Array], trials: int) -> tuple[Array, Array]:
         """Whitened residuals (trials, N) and derivatives (trials, N, p)."""
         residuals, matrices = [], []
         for term, weighting, reading in zip(self.system.terms, self.weightings, readings, strict=True):
-            result = self.run(term, term.any_free, values, trials)
-            predicted = result[: term.dim].reshape(term.dim, trials, term.n).transpose(1, 2, 0)
+            predicted, matrix = self.derived(term, values, trials)
             residual = reading - predicted
             _unwrap(term, residual)
-            matrix = np.zeros((trials, term.n, term.dim, self.size))
-            begin = term.dim
-            for columns, source, want in zip(term.columns, term.traced.sources, term.any_free, strict=True):
-                if want:
-                    piece = result[begin : begin + term.dim * source.freedom].reshape(
-                        source.freedom, term.dim, trials, term.n
-                    )
-                    begin += term.dim * source.freedom
-                    _scatter(matrix, piece, self.system.layout.position[columns])
             for mixing in weighting.whitening:
                 residuals.append(mix(mixing, residual[..., None]).reshape(trials, -1))
                 matrices.append(mix(mixing, matrix).reshape(trials, -1, self.size))
@@ -69,18 +71,8 @@ class Lanes:
         """Excess (trials, m) and derivatives (trials, m, p) of the equality constraints."""
         excess, matrices = [np.zeros((trials, 0))], [np.zeros((trials, 0, self.size))]
         for term in self.system.conditions:
-            result = self.run(term, term.any_free, values, trials)
-            value = result[: term.dim].reshape(term.dim, trials, term.n).transpose(1, 2, 0) - term.bound.lower
-            matrix = np.zeros((trials, term.n, term.dim, self.size))
-            begin = term.dim
-            for columns, source, want in zip(term.columns, term.traced.sources, term.any_free, strict=True):
-                if want:
-                    piece = result[begin : begin + term.dim * source.freedom].reshape(
-                        source.freedom, term.dim, trials, term.n
-                    )
-                    begin += term.dim * source.freedom
-                    _scatter(matrix, piece, self.system.layout.position[columns])
-            excess.append(value.reshape(trials, -1))
+            value, matrix = self.derived(term, values, trials)
+            excess.append((value - term.bound.lower).reshape(trials, -1))
             matrices.append(matrix.reshape(trials, -1, self.size))
         return np.concatenate(excess, axis=1), np.concatenate(matrices, axis=1)
 

@@ -70,7 +70,7 @@ class Candidates:
         null[np.abs(null) < 1e-9 * np.abs(null).max(axis=0)] = 0.0
         derivatives = self.rows.reshape(-1, self.rank) @ np.linalg.pinv(self.root)
         size = np.linalg.norm(derivatives, axis=0)
-        return defect_in_words(self.fit.layout, null, lambda: np.where(size > 0, size, 1.0))
+        return defect_in_words(self.fit.layout, null, np.where(size > 0, size, 1.0))
 
     def indicator(self, chosen: Sequence[int]) -> Array:
         """Weights (n,): one where chosen."""
