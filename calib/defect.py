@@ -48,9 +48,8 @@ def direction_in_words(layout: Layout, direction: Array) -> str:
     return words.removeprefix("+ ") + more
 
 
-def cure(names: str) -> str:
-    """What to do about a direction that changes no reading."""
-    alone = " " not in names.strip().removeprefix("1 ").strip() or names.count("+") + names.count("-") == 0
+def cure(alone: bool) -> str:
+    """What to do about a direction that changes no reading; alone: whether it moves a single unknown."""
     return (
         "hold it, add a prior, or add readings that see it"
         if alone
@@ -64,5 +63,5 @@ def defect_in_words(layout: Layout, null: Array, sizes: Array) -> list[str]:
     sentences = []
     for k in range(basis.shape[1]):
         words = direction_in_words(layout, basis[:, k])
-        sentences.append(f"{words} changes no reading; {cure(words)}")
+        sentences.append(f"{words} changes no reading; {cure(np.count_nonzero(basis[:, k]) == 1)}")
     return sentences
