@@ -7,11 +7,14 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
+LOCKED = ("requirements.txt", "requirements-test.txt")
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
 
@@ -30,17 +33,19 @@ def test_there_are_exactly_two_commands():
     assert "--require-hashes -r requirements.txt" in first
     assert "--no-deps --no-build-isolation" in first
     assert first.rstrip().endswith("calib reproduce --out results")
+    assert "--require-hashes -r requirements-test.txt" in second
     assert second.rstrip().endswith("-m pytest")
 
 
 def test_the_commands_name_nothing_but_what_is_in_the_repository():
     words = [word for text in blocks("sh") for word in shlex.split(text)]
     assert not [word for word in words if "://" in word or word.startswith("/")]
-    assert (ROOT / "requirements.txt").is_file()
+    assert all((ROOT / name).is_file() for name in LOCKED)
 
 
-def test_every_requirement_has_an_exact_version_and_hashes_and_no_address():
-    text = (ROOT / "requirements.txt").read_text()
+@pytest.mark.parametrize("name", LOCKED)
+def test_every_requirement_has_an_exact_version_and_hashes_and_no_address(name):
+    text = (ROOT / name).read_text()
     assert "://" not in text
     assert "--index" not in text
     wanted = [line for line in text.splitlines() if line and not line.startswith(("#", " "))]
@@ -50,15 +55,26 @@ def test_every_requirement_has_an_exact_version_and_hashes_and_no_address():
     assert text.count("--hash=sha256:") >= len(wanted)
 
 
-def test_everything_the_project_needs_is_among_the_requirements():
-    import tomllib
+def names(requirements: Iterable[str]) -> set[str]:
+    return {re.split(r"[<>=\[; ]", one)[0].lower() for one in requirements}
 
+
+def locked(name: str) -> set[str]:
+    return {line.rstrip(" \\") for line in (ROOT / name).read_text().splitlines() if re.match(r"\w[^ ]*==", line)}
+
+
+def test_everything_the_project_needs_is_among_the_requirements():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    wanted = [*project["project"]["dependencies"], *project["project"]["optional-dependencies"]["test"],
-              *project["build-system"]["requires"]]
-    lines = (ROOT / "requirements.txt").read_text().splitlines()
-    there = {line.split("==")[0].lower() for line in lines if "==" in line}
-    assert {re.split(r"[<>=\[; ]", one)[0].lower() for one in wanted} <= there
+    extras = project["project"]["optional-dependencies"]
+    to_run = [*project["project"]["dependencies"], *extras["fast"], *project["build-system"]["requires"]]
+    to_test = [one for extra, wanted in extras.items() if extra != "bench" for one in wanted]
+    assert names(to_run) <= names(locked("requirements.txt"))
+    assert names(to_test) - {project["project"]["name"]} <= names(locked("requirements-test.txt"))
+
+
+def test_the_tests_run_on_the_same_versions_as_the_program():
+    assert {one.split(" ;")[0] for one in locked("requirements.txt")} <= {
+        one.split(" ;")[0] for one in locked("requirements-test.txt")}
 
 
 def test_the_ci_script_runs_the_commands_of_the_readme():
