@@ -194,10 +194,12 @@ def rotation_from_rpy(roll: Any, pitch: Any, yaw: Any) -> Any:
 
 def rpy_from_rotation(rotation: Any) -> Any:
     """Roll, pitch, yaw (3,) [rad] of a rotation Rz Ry Rx (3, 3); at a pitch of 90 degrees only roll -+ yaw is known."""
-    atan2, sqrt = (ca.atan2, ca.sqrt) if _is_symbolic(rotation) else (np.arctan2, np.sqrt)
-    level = sqrt(rotation[0, 0] * rotation[0, 0] + rotation[1, 0] * rotation[1, 0])
-    return column(atan2(rotation[2, 1], rotation[2, 2]), atan2(-rotation[2, 0], level),
-                  atan2(rotation[1, 0], rotation[0, 0]))
+    atan2, cos, sin = (ca.atan2, ca.cos, ca.sin) if _is_symbolic(rotation) else (np.arctan2, np.cos, np.sin)
+    yaw = atan2(rotation[1, 0], rotation[0, 0])
+    # with any yaw at the pole, roll and pitch of what is left make up for it: the three give the rotation back
+    along = cos(yaw) * rotation[0, 0] + sin(yaw) * rotation[1, 0]
+    across = [cos(yaw) * rotation[1, i] - sin(yaw) * rotation[0, i] for i in (1, 2)]
+    return column(atan2(-across[1], across[0]), atan2(-rotation[2, 0], along), yaw)
 
 
 def orthonormal_frame(direction: Any) -> np.ndarray:

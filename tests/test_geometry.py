@@ -145,6 +145,13 @@ def test_roll_pitch_yaw_come_back(seed):
     np.testing.assert_allclose(geometry.rpy_from_rotation(geometry.rotation_from_rpy(*angles)), angles, atol=1e-14)
 
 
+@pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2, np.pi / 2 - 1e-9, 1.3])
+def test_roll_pitch_and_yaw_give_the_rotation_back_at_the_pole_too(pitch):
+    rotation = geometry.rotation_from_rpy(0.4, pitch, -1.1)
+    again = geometry.rotation_from_rpy(*geometry.rpy_from_rotation(rotation))
+    np.testing.assert_allclose(again, rotation, atol=1e-15)
+
+
 @pytest.mark.parametrize("direction", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, 1, -1e-17), (1e-9, 0, -1), (3, -4, 12)])
 def test_a_frame_stands_on_its_direction_and_a_direction_moves_from_it(direction):
     frame = geometry.orthonormal_frame(direction)

@@ -36,6 +36,7 @@ class Mechanism(Frozen):
                  down: ArrayLike = (0.0, 0.0, -1.0)):
         self.name, self.axes, self.loads = name, tuple(axes), tuple(loads)
         self.frames = (*frames, *([] if any(f.name == "base" for f in frames) else [Frame("base")]))
+        self._frames_of_axes = {a.name: Frame(a.name, a.through, a.reference, a.name) for a in self.axes}
         self.down = geometry.unit(np.asarray(down, float))
         names = [a.name for a in self.axes]
         for what, given in (("axes", names), ("frames", [f.name for f in self.frames]),
@@ -50,8 +51,12 @@ class Mechanism(Frozen):
                 near = difflib.get_close_matches(item.carried_by, names, 1)
                 raise DeclarationError(f"mechanism '{name}': '{item.name}' is carried by '{item.carried_by}', which "
                                        "is no axis; "
-                                       + (f"did you mean '{near[0]}'? " if near else "") + "There are: "
-                                                                                           f"{names_of(self.axes)}.")
+                                       + (f"did you mean '{near[0]}'? " if near else "")
+                                       + f"There are: {names_of(self.axes)}.")
+        base = next(f for f in self.frames if f.name == "base")
+        if base.carried_by is not None or np.any(base.at) or np.any(base.rotation != np.eye(3)):
+            raise DeclarationError(f"mechanism '{name}': 'base' is the name of the frame in which all else is given, and "
+                                   "the frame of this name stands elsewhere; call it otherwise.")
         self._paths = {axis.name: self._ancestors(axis) for axis in self.axes}
 
     def _ancestors(self, axis: Axis) -> tuple[Axis, ...]:
@@ -70,8 +75,10 @@ class Mechanism(Frozen):
         return self._one(self.axes, name, "axis")
 
     def frame(self, name: str) -> Frame:
-        """A frame by name."""
-        return self._one(self.frames, name, "frame")
+        """A frame by name; the name of an axis means the frame of its reference at its point, which moves with it."""
+        known = any(f.name == name for f in self.frames)
+        return self._frames_of_axes[name] if not known and name in self._frames_of_axes else \
+            self._one(self.frames, name, "frame")
 
     def _one(self, items: Sequence[Any], name: str, what: str) -> Any:
         for item in items:
@@ -104,8 +111,8 @@ class Mechanism(Frozen):
         frame, seen_from: names of frames. positions: (axes,) [rad or m], in the order of `axes`.
         Slots, for every axis NAME on the way: `NAME_position` (command in, actual position out), `NAME_location` and
         `NAME_motion` ((6,) small displacement along and about X, Y, Z of its reference, before the axis and with it),
-        and `FRAME_mounting` for the two frames. Effects there may ask for `position`, `positions`, `levers` ((loads,)
-        horizontal lever arm of each load about the axis [m]).
+        and `FRAME_mounting` for the two frames (not for `base` and not for the frame of an axis). Effects there may ask
+        for `position`, `positions`, `levers` ((loads,) horizontal lever arm of each load about the axis [m]).
         An axis moves by location, error motion, motion (rotary) or location, motion, error motion (linear): ISO 230-1.
         Source: product of exponentials, Brockett 1984, with a small displacement before each.
         """
@@ -116,7 +123,7 @@ class Mechanism(Frozen):
         branches = ((behind[shared:], self.frame(seen_from)), (ahead[shared:], self.frame(frame)))
         on_the_way = [axis for branch, _ in branches for axis in branch]
         slots = [f"{axis.name}_{kind}" for axis in on_the_way for kind in ("position", "location", "motion")]
-        slots += [f"{end.name}_mounting" for end in dict.fromkeys(end for _, end in branches if end.name != "base")]
+        slots += [f"{end.name}_mounting" for end in dict.fromkeys(end for _, end in branches if self._is_mounted(end))]
 
         def model(positions: Any, **taps: Any) -> Transform:
             tap = {name: taps.get(name, direct) for name in slots}
@@ -129,6 +136,10 @@ class Mechanism(Frozen):
                                                 + [kind(s, kind.KEYWORD_ONLY, default=direct) for s in slots])
         model.__name__ = f"pose_of_{frame}"
         return model
+
+    def _is_mounted(self, frame: Frame) -> bool:
+        """Whether somebody mounted the frame, so that it may sit elsewhere than designed."""
+        return frame.name != "base" and frame not in self._frames_of_axes.values()
 
     def _branch(self, axes: Sequence[Axis], end: Frame, positions: Any, gravity: dict[str, Any],
                 tap: dict[str, Any]) -> Transform:
@@ -146,7 +157,7 @@ class Mechanism(Frozen):
                 elif not isinstance(part, ca.DM):          # a slot without effects hands back the plain zeros
                     pose = pose @ axis.small(part)
         pose = pose @ end.home
-        if end.name != "base":
+        if self._is_mounted(end):
             mounting = tap[f"{end.name}_mounting"](ca.DM.zeros(6), positions=positions)
             if not isinstance(mounting, ca.DM):
                 turn = geometry.small_rotation([mounting[3], mounting[4], mounting[5]])

@@ -61,6 +61,11 @@ def identifier(name: str) -> str:
     return re.sub(r"\W", "_", name) if re.sub(r"\W", "_", name)[:1].isalpha() else "_" + re.sub(r"\W", "_", name)
 
 
+def frame_name(link: str, base: str) -> str:
+    """Name of the frame of a link: its identifier, and `base_` for a link `base` that is not the base itself."""
+    return "base_" if link == "base" != base else identifier(link)
+
+
 def read(path: str | Path) -> Description:
     """Read a URDF file.
 
@@ -103,9 +108,10 @@ def parse(text: bytes | str, where: str = "URDF") -> Description:
     weights = {}
     for element in tree.findall("link"):
         mass = element.find("inertial/mass")
-        if mass is not None and float(mass.get("value", "0")) > 0:
-            centre = _origin(element.find("inertial/origin"), where, element.get("name", ""))
-            weights[element.get("name", "")] = (float(mass.get("value", "0")), np.asarray(centre.translation))
+        name = element.get("name", "")
+        weight = 0.0 if mass is None else _number(mass, "value", where, f"the mass of link '{name}'")
+        if weight > 0:
+            weights[name] = (weight, np.asarray(_origin(element.find("inertial/origin"), where, name).translation))
     return Description(where, tree.get("name", "robot"), links, joints, weights, tree)
 
 
@@ -149,6 +155,17 @@ def _attribute(element: ElementTree.Element | None, name: str, where: str, what:
     return value
 
 
+def _number(element: ElementTree.Element, name: str, where: str, what: str) -> float:
+    text = element.get(name, "0")
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise InputError(f"{where}: {what} has {name} = '{text}', which is no number; correct it.")
+    return value
+
+
 def _three(text: str | None, default: str, where: str, what: str) -> Array:
     try:
         values = np.array([float(v) for v in (text or default).split()])
@@ -181,13 +198,15 @@ def _joint(element: ElementTree.Element, where: str) -> Joint:
         raise InputError(f"{where}: the axis of joint '{name}' has zero length; give its direction, such as 0 0 1.")
     limit, limits = element.find("limit"), (-np.inf, np.inf)
     if limit is not None and kind in ("revolute", "prismatic"):
-        limits = tuple(float(limit.get(side, "0")) for side in ("lower", "upper"))      # type: ignore[assignment]
+        lower, upper = (_number(limit, side, where, f"the limit of joint '{name}'") for side in ("lower", "upper"))
+        limits = (lower, upper)
         if not limits[0] < limits[1]:
             raise InputError(f"{where}: joint '{name}' has the limits {limits[0]:g} .. {limits[1]:g}; give lower "
                              "below upper.")
     if element.find("mimic") is not None:
         kind = MIMIC
-    effort = None if limit is None or limit.get("effort") is None else float(limit.get("effort", "0"))
+    has_effort = limit is not None and limit.get("effort") is not None
+    effort = _number(limit, "effort", where, f"the limit of joint '{name}'") if limit is not None and has_effort else None
     return Joint(name, kind, parent, child, _origin(element.find("origin"), where, name), axis, limits, effort)
 
 
@@ -195,7 +214,7 @@ def mechanism(description: Description, base: str | None = None, tip: str | None
               down: Any = (0.0, 0.0, -1.0)) -> Mechanism:
     """The mechanism of a description: every moving joint an axis, every link a frame, every inertial a load.
 
-    base: link whose frame is the base (the root if not given); tip: only the axes between base and this link; down:
+    A frame is called as its link (see `frame_name`). base: link whose frame is the base (the root if not given); tip: only the axes between base and this link; down:
     (3,) plumb direction in the base frame. Errors are named by the axes of the joint's own frame.
     Raises InputError where base or tip is no link, or the base is not on the way to the tip.
     """
@@ -228,7 +247,8 @@ def mechanism(description: Description, base: str | None = None, tip: str | None
                                  carriers[joint.parent],
                                  joint.limits, home.rotation if along.max() > 1 - 1e-9 else None))
                 carriers[joint.child] = identifier(joint.name)
-    frames = [Frame(identifier(link), home.translation, home.rotation, carriers[link]) for link, home in homes.items()]
+    frames = [Frame(frame_name(link, base), home.translation, home.rotation, carriers[link])
+              for link, home in homes.items()]
     loads = [Load(identifier(link), homes[link] @ centre, carrier, mass)
              for link, (mass, centre) in description.weights.items()
              if link in homes and (carrier := carriers[link]) is not None]
@@ -245,17 +265,18 @@ def _way(by_child: dict[str, Joint], base: str, tip: str, where: str) -> set[str
     return names
 
 
-def written(description: Description, identified: Mechanism) -> str:
+def written(description: Description, identified: Mechanism, base: str | None = None) -> str:
     """The URDF text with the origins of an identified mechanism (see `calib.mechanism.identified`); all else is kept.
 
-    description: as read; identified: of the same axes and frames. Returns the text.
+    description: as read; identified: of the same axes and frames; base: as of `mechanism`. Returns the text.
     """
     import copy
+    base = base or description.root
     tree = copy.deepcopy(description.tree)
-    frames = {f.name: f.home for f in identified.frames}
+    homes = {f.name: f.home for f in identified.frames}
     elements = {e.get("name"): e for e in tree.findall("joint")}
     for joint in description.joints:
-        parent, child = frames.get(identifier(joint.parent)), frames.get(identifier(joint.child))
+        parent, child = (homes.get(frame_name(link, base)) for link in (joint.parent, joint.child))
         if parent is None or child is None:
             continue
         origin = parent.inverse() @ child
