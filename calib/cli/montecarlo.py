@@ -30,8 +30,9 @@ def montecarlo(
 ) -> int:
     """Solve JOB, then solve it again with readings drawn anew around the estimate, trial after trial.
 
-    With --out: montecarlo.json and samples.npz.
+    With --out: montecarlo.json, samples.npz and report.html.
     """
+    from calib.report import montecarlo as report
     from calib.report.provenance import provenance
 
     read = Job.read(job, data_folder)
@@ -63,6 +64,7 @@ def montecarlo(
         output.wrote(
             files.write_json(output.path("montecarlo.json"), content),
             files.write_bytes(output.path("samples.npz"), packed.getvalue()),
+            report.write(solution, found, rows, origin, output.path("report.html")),
         )
     passed = solution.estimate.certificate.passed and solution.estimate.converged and found.failures == 0
     return DONE if passed else FAILED

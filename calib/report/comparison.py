@@ -109,9 +109,7 @@ def html(comparison: Comparison, provenance: Provenance) -> str:
         passed=reference is not None, answers=sentences(comparison), effort=_effort(comparison),
         results=_results(comparison), refused=_refused(comparison), notes=_notes(comparison),
         differences=_differences(comparison), reach=_reach(comparison),
-        provenance=[("command", provenance.command), ("version", provenance.version),
-                    ("data", ", ".join(f"{name} {digest[:12]}" for name, digest in provenance.data.items())),
-                    ("seed", str(provenance.seed))],
+        provenance=provenance.lines(),
     )
 
 

@@ -53,9 +53,7 @@ def html(case: str, found: Explanation, provenance: Provenance) -> str:
                    numbers.probability(t.p_value)] for t in found.noise]) if found.noise else None,
         hidden=_hidden(found),
         remarks=found.remarks,
-        provenance=[("command", provenance.command), ("version", provenance.version),
-                    ("python", provenance.python),
-                    *((f"sha256 of {name}", digest) for name, digest in provenance.data.items())],
+        provenance=provenance.lines(),
     )
 
 

@@ -182,15 +182,9 @@ def _unknowns(solution: Solution, held: bool) -> Grid:
 def _provenance(provenance: Provenance, solution: Solution) -> list[tuple[str, str]]:
     estimate, certificate = solution.estimate, solution.estimate.certificate
     stationarity = "–" if certificate.stationarity is None else f"{certificate.stationarity:.1e} of u"
-    lines = [
-        ("command", provenance.command),
-        ("version", provenance.version),
+    lines = provenance.lines(
         ("method", f"{estimate.method}: {estimate.message}; {estimate.iterations} iterations"),
         ("certificate", f"{certificate.why}; remaining step {stationarity}"),
-        ("python", provenance.python),
-        ("libraries", ", ".join(f"{name} {version}" for name, version in provenance.libraries.items())),
-        *((f"sha256 of {name}", digest) for name, digest in provenance.data.items()),
-        ("seed", "none" if provenance.seed is None else str(provenance.seed)),
-    ]
+    )
     lines += [(f"{key} (of the job)", str(value)) for key, value in solution.job.certificate.items()]
     return lines

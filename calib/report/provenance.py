@@ -34,6 +34,22 @@ class Provenance:
             "data": self.data, "python": self.python, "libraries": self.libraries,
         }
 
+    def lines(self, *more: tuple[str, str]) -> list[tuple[str, str]]:
+        """What every page says at its foot.
+
+        more: lines of this kind of run, (name, text), shown after the version.
+        return: (name, text) in order.
+        """
+        return [
+            ("command", self.command),
+            ("version", self.version),
+            *more,
+            ("python", self.python),
+            ("libraries", ", ".join(f"{name} {version}" for name, version in self.libraries.items())),
+            *((f"sha256 of {name}", digest) for name, digest in self.data.items()),
+            ("seed", "none" if self.seed is None else str(self.seed)),
+        ]
+
 
 def provenance(data: Sequence[Path], command: str, seed: int | None = None) -> Provenance:
     """The provenance of a result made now.

@@ -40,8 +40,7 @@ def html(found: Sequence[Reproduction], provenance: Provenance) -> str:
         title="Published numbers, computed anew",
         answer=f"{agreeing} of {total} printed numbers of {papers} agree to half of their last digit.",
         papers=[_paper(one) for one in found],
-        provenance=[("command", provenance.command), ("version", provenance.version), ("python", provenance.python),
-                    ("libraries", ", ".join(f"{name} {text}" for name, text in provenance.libraries.items()))],
+        provenance=provenance.lines(),
     )
 
 

@@ -71,8 +71,7 @@ def write(title: str, fit: Linearisation, choice: Choice, steps: Sequence[Step],
         "selection.html.j2", title=title, subtitle=f"{fit.name}: which observations to keep, found by {choice.method}",
         sentence=sentence(choice), chosen=", ".join(choice.labels[:SHOWN]) + more, remarks=choice.remarks,
         promises=Grid(["quantity", "u, all", "u, chosen", "ratio", "unit"], rows), drawings=drawings,
-        provenance=[("command", provenance.command), ("version", provenance.version), ("python", provenance.python),
-                    *((f"sha256 of {name}", digest) for name, digest in provenance.data.items())]))
+        provenance=provenance.lines()))
 
 
 def _along(choice: Choice, steps: Sequence[Step]) -> Figure:
