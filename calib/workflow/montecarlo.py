@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.blocks import Array
-from calib.compiled import threads
 from calib.errors import CalibrationError
-from calib.linearisation import Functions, linearise_system
+from calib.linearisation import Functions
 from calib.observations import Quantity
 from calib.solve.estimate import Estimate
 from calib.system import System
 from calib.unknown import Unknown
-from calib.workflow.trials import Trials, trials_of
-
-if TYPE_CHECKING:
-    from concurrent.futures import Future
+from calib.workflow.places import Place, Sampling, Threads
+from calib.workflow.trials import prepared
 
 USUAL = 200_000  # trials that stabilise two digits of most results
 
@@ -110,14 +104,15 @@ class MonteCarlo:
 
 def montecarlo(
     estimate: Estimate, trials: int | Adaptive, seed: int, quantities: Sequence[Quantity] | None = None,
-    progress: Callable[[int], None] = lambda done: None,
+    progress: Callable[[int], None] = lambda done: None, place: Place | None = None,
 ) -> MonteCarlo:
     """Propagate the stated distributions through the whole estimation.
 
     estimate: taken as the truth; trials: how many re-estimates, or `Adaptive`; seed: of the errors; quantities: results
-    to sample (all of the problem if not given); progress: called with the number of trials done, now and then. Readings
-    and priors are drawn from the declared model; held unknowns with a prior are drawn from it. The samples follow from
-    the seed alone, however many threads there are (CALIB_THREADS), and a longer run begins with a shorter one.
+    to sample (all of the problem if not given); progress: called with the number of trials done, now and then; place:
+    who makes the trials (`Threads()` of this program if not given). Readings and priors are drawn from the declared
+    model; held unknowns with a prior are drawn from it. The samples follow from the seed alone, however many threads or
+    machines there are, and a longer run begins with a shorter one.
     Raises CalibrationError where the problem has inequalities, which this check does not cover.
     Source: JCGM 101:2008, 7.
     """
@@ -132,13 +127,14 @@ def montecarlo(
     from calib.analyse.covariance import covariance
 
     truth = dict(estimate.values)
-    fit = linearise_system(system, truth)
-    linear = covariance(fit, *[_as_functions(system, q, truth) for q in chosen])
     limit = trials.largest if isinstance(trials, Adaptive) else trials
-    ready = trials_of(system, fit, truth, chosen, min(limit, USUAL) if isinstance(trials, Adaptive) else trials)
+    expected = min(limit, USUAL) if isinstance(trials, Adaptive) else trials
+    ready, fit = prepared(system, truth, chosen, expected)
+    linear = covariance(fit, *[_as_functions(system, q, truth) for q in chosen])
+    sampling = Sampling(ready, truth, expected, seed, limit)
     watch = _Watch(trials) if isinstance(trials, Adaptive) else None
     done, failures, samples = 0, 0, []
-    for found, good in _blocks(ready, limit, seed):
+    for found, good in (place or Threads()).blocks(sampling):
         samples.append(found if good.all() else found[good])
         failures += int(np.sum(~good))
         done += len(good)
@@ -149,39 +145,6 @@ def montecarlo(
     return MonteCarlo(
         linear.names, linear.units, np.concatenate(samples), failures, linear.values, linear.u, stability
     )
-
-
-def _blocks(trials: Trials, count: int, seed: int) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
-    """Blocks in order, made by all threads; a block follows from its number alone."""
-    numbers = range(-(-count // trials.block))
-    sizes = [min(trials.block, count - n * trials.block) for n in numbers[-1:]]
-    workers = min(threads(), len(numbers))
-
-    def sample(number: int) -> tuple[Array, NDArray[np.bool_]]:
-        return trials.sample(seed, number, sizes[0] if number == numbers[-1] else trials.block)
-
-    if workers < 2:
-        yield from map(sample, numbers)
-    else:
-        yield from _ahead(sample, numbers, workers)
-
-
-def _ahead(
-    sample: Callable[[int], tuple[Array, NDArray[np.bool_]]], numbers: Iterable[int], workers: int
-) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
-    from concurrent.futures import ThreadPoolExecutor
-
-    pool, rest = ThreadPoolExecutor(workers, thread_name_prefix="trials"), iter(numbers)
-    coming: deque[Future[tuple[Array, NDArray[np.bool_]]]] = deque()
-    try:
-        while True:
-            while len(coming) < 2 * workers and (number := next(rest, None)) is not None:
-                coming.append(pool.submit(sample, number))
-            if not coming:
-                return
-            yield coming.popleft().result()
-    finally:  # also where the caller has enough, or is interrupted
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
 class _Watch:

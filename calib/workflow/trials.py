@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib.analyse.covariance import Considered, considered
 from calib.blocks import Array
 from calib.compiled import pays
-from calib.linearisation import Linearisation
+from calib.linearisation import Linearisation, linearise_system
 from calib.observations import Quantity
 from calib.solve.unrolled import is_small, unrolled
 from calib.system import System
@@ -48,6 +48,14 @@ def trials_of(
     if is_small(system) and not fit.factor.defect:
         return SmallTrials(system, fit, truth, quantities, expected)
     return LargeTrials(system, fit, truth, quantities, expected)
+
+
+def prepared(
+    system: System, truth: dict[Unknown, Array], quantities: Sequence[Quantity], expected: int
+) -> tuple[Trials, Linearisation]:
+    """Trials of a problem around values taken as the truth, and its linearisation there; arguments as `trials_of`."""
+    fit = linearise_system(system, truth)
+    return trials_of(system, fit, truth, quantities, expected), fit
 
 
 class SmallTrials:
