@@ -11,8 +11,8 @@ SEEDS = range(12)
 
 
 def drawn(seed):
-    """A tree of 3 to 10 joints: turning without and with limits, sliding, fixed; some parallel, some at the pole of rpy,
-    axes of any length and sense."""
+    """A tree of 3 to 10 joints: turning with limits and without, sliding, fixed; some parallel, some at the pole of
+    roll, pitch, yaw; axes of any length and sense."""
     generator = np.random.default_rng(seed)
     lines = ["<link name='base_link'/>", "<link name='base'/>",
              "<joint name='to base' type='fixed'><parent link='base_link'/><child link='base'/>"
@@ -102,6 +102,6 @@ def test_a_number_that_is_none_and_a_part_that_is_missing_are_named(wrong, right
 
 def test_a_joint_that_mimics_another_is_refused_by_name_where_it_is_on_the_way():
     description = urdf.parse(ONE.format("<mimic joint='k'/>"), "gripper.urdf")
-    with pytest.raises(InputError, match="gripper.urdf: joint 'j' mimics another"):
+    with pytest.raises(InputError, match=r"gripper\.urdf: joint 'j' mimics another"):
         urdf.mechanism(description)
     assert urdf.mechanism(description, tip="a").axes == ()

@@ -36,7 +36,7 @@ class Mechanism(Frozen):
                  down: ArrayLike = (0.0, 0.0, -1.0)):
         self.name, self.axes, self.loads = name, tuple(axes), tuple(loads)
         self.frames = (*frames, *([] if any(f.name == "base" for f in frames) else [Frame("base")]))
-        self._frames_of_axes = {a.name: Frame(a.name, a.through, a.reference, a.name) for a in self.axes}
+        self._frames_of_axes = {a.name: Frame(a.name, a.through, np.asarray(a.reference), a.name) for a in self.axes}
         self.down = geometry.unit(np.asarray(down, float))
         names = [a.name for a in self.axes]
         for what, given in (("axes", names), ("frames", [f.name for f in self.frames]),
@@ -55,8 +55,8 @@ class Mechanism(Frozen):
                                        + f"There are: {names_of(self.axes)}.")
         base = next(f for f in self.frames if f.name == "base")
         if base.carried_by is not None or np.any(base.at) or np.any(base.rotation != np.eye(3)):
-            raise DeclarationError(f"mechanism '{name}': 'base' is the name of the frame in which all else is given, and "
-                                   "the frame of this name stands elsewhere; call it otherwise.")
+            raise DeclarationError(f"mechanism '{name}': 'base' is the name of the frame in which all else is given, "
+                                   "and the frame of this name stands elsewhere; call it otherwise.")
         self._paths = {axis.name: self._ancestors(axis) for axis in self.axes}
 
     def _ancestors(self, axis: Axis) -> tuple[Axis, ...]:

@@ -17,6 +17,21 @@ def nearest_rotation(matrix: Array) -> Array:
     return left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
 
 
+def nearest_motion(points: ArrayLike, nominal: ArrayLike) -> Transform:
+    """The rigid motion (Transform) that brings nominal points (n, 3) nearest to measured ones (n, 3) [m].
+
+    Raises InputError for points on one line, about which they may turn. Source: Schoenemann 1966.
+    """
+    measured, designed = np.asarray(points, float), np.asarray(nominal, float)
+    centre, middle = measured.mean(axis=0), designed.mean(axis=0)
+    spread = np.linalg.svd(designed - middle, compute_uv=False)
+    if len(designed) < 3 or spread[1] < 1e-6 * spread[0]:
+        raise InputError("the points lie on one line, about which the mechanism may stand at any angle; measure points "
+                         "off it.")
+    rotation = nearest_rotation((measured - centre).T @ (designed - middle))
+    return Transform(rotation, centre - rotation @ middle)
+
+
 def world_and_target(rotations: ArrayLike, translations: ArrayLike, frame_rotations: ArrayLike,
                      frame_translations: ArrayLike) -> tuple[Transform, Transform]:
     """world_from_base and frame_from_target for which world_from_base @ base_from_frame @ frame_from_target is near to

@@ -205,8 +205,9 @@ def _joint(element: ElementTree.Element, where: str) -> Joint:
                              "below upper.")
     if element.find("mimic") is not None:
         kind = MIMIC
-    has_effort = limit is not None and limit.get("effort") is not None
-    effort = _number(limit, "effort", where, f"the limit of joint '{name}'") if limit is not None and has_effort else None
+    effort = None
+    if limit is not None and limit.get("effort") is not None:
+        effort = _number(limit, "effort", where, f"the limit of joint '{name}'")
     return Joint(name, kind, parent, child, _origin(element.find("origin"), where, name), axis, limits, effort)
 
 
@@ -214,8 +215,9 @@ def mechanism(description: Description, base: str | None = None, tip: str | None
               down: Any = (0.0, 0.0, -1.0)) -> Mechanism:
     """The mechanism of a description: every moving joint an axis, every link a frame, every inertial a load.
 
-    A frame is called as its link (see `frame_name`). base: link whose frame is the base (the root if not given); tip: only the axes between base and this link; down:
-    (3,) plumb direction in the base frame. Errors are named by the axes of the joint's own frame.
+    A frame is called as its link (see `frame_name`). base: link whose frame is the base (the root if not given); tip:
+    only the axes between base and this link; down: (3,) plumb direction in the base frame. Errors are named by the axes
+    of the joint's own frame.
     Raises InputError where base or tip is no link, or the base is not on the way to the tip.
     """
     by_child = {j.child: j for j in description.joints}
