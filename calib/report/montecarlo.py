@@ -81,13 +81,14 @@ def _results(entries: Sequence[Mapping[str, Any]]) -> Grid:
                      for key in ("interval_shortest", "interval_symmetric")]
         style = "good" if str(one["verdict"]).startswith(VALID) else "warning"
         rows.append([one["name"], mean, u or "–", linear, linear_u or "–", *intervals,
-                     "" if one["unit"] == "1" else one["unit"], Cell(one["verdict"], style)])
-    return Grid(["result", "mean", "u", "linear", "u linear", "shortest 95 %", "symmetric 95 %", "unit", "linear result"],
-                rows).without_empty()
+                     "" if one["unit"] == "1" else one["unit"], Cell(one["verdict"], f"{style} prose")])
+    header = ["result", "mean", "u", "linear", "u linear", "shortest 95 %", "symmetric 95 %", "unit", "linear result"]
+    return Grid(header, rows).without_empty()
 
 
 def _caption(one: Mapping[str, Any]) -> str:
-    return f"{one['name']}: samples, and the normal distribution of the linear result (line); linear result {one['verdict']}."
+    return (f"{one['name']}: samples, and the normal distribution of the linear result (line); linear result "
+            f"{one['verdict']}.")
 
 
 def _distribution(found: MonteCarlo, index: int) -> Figure:
