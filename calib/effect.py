@@ -99,7 +99,14 @@ class Effect:
         object.__setattr__(self, "inputs", tuple(names[2:]))
         object.__setattr__(self, "bundle", namedtuple("parameters", [p.name for p in self.parameters]))
 
+    def channel_at(self, key: str) -> str:
+        """Where it acts at one key: the channel with the key in place of `{key}`, or the key; without one, the
+        channel."""
+        if self.per is None:
+            return self.channel
+        return self.channel.replace("{key}", key) if "{key}" in self.channel else key
+
     @property
     def label(self) -> str:
-        """Name and channel, such as `drift (reading)`."""
-        return f"{self.name} ({self.channel})"
+        """Name and channel, such as `drift (reading)`; where each key has its own, `drift (each station circle)`."""
+        return f"{self.name} ({self.channel.replace('{key}', f'each {self.per}')})"

@@ -206,6 +206,10 @@ class Problem(Frozen):
         mask = self.held_masks.get(unknown)
         return np.zeros((unknown.count, unknown.freedom), bool) if mask is None else mask
 
+    def acting(self, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+        """Those of several effects that would act somewhere: slot and inputs are there."""
+        return tuple(e for e in effects if any(_acts_on(e, o) for o in self.observations))
+
     def with_effects(self, *effects: Effect) -> Problem:
         """Attach effects, zero and held."""
         new = tuple(_attach(e, self.observations) for e in effects if e not in self.effects)

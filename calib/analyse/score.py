@@ -34,10 +34,8 @@ class Candidate:
 
     @property
     def channel(self) -> str:
-        """Where it acts: the channel of the effect, with the key in place of `{key}`, or the key alone."""
-        if self.effect.per is None:
-            return self.effect.channel
-        return self.effect.channel.format(key=self.key) if "{key}" in self.effect.channel else self.key
+        """Where it acts."""
+        return self.effect.channel_at(self.key)
 
     @property
     def label(self) -> str:

@@ -59,20 +59,23 @@ def simulated(job: Job, problem: Problem, estimate: Estimate, seed: int, effects
 
 
 def _set(problem: Problem, values: dict[Any, Any], name: str, text: str) -> None:
-    """Switch one effect on, in every place where it is declared."""
-    names: dict[str, tuple[Any, int]] = {}
+    """Switch one effect on: in every place where it is declared, or at the one key that its label names."""
+    names: dict[str, tuple[Any, int, Any]] = {}
     for attached in problem.attached:
+        places: dict[str, Any] = dict.fromkeys((attached.effect.label, attached.effect.name), slice(None))
+        places |= {f"{attached.effect.name} ({attached.effect.channel_at(key)})": instance
+                   for instance, key in enumerate(attached.keys)}
         for part, parameter in enumerate(attached.effect.parameters):
-            for label in (attached.effect.label, attached.effect.name):
-                names.setdefault(f"{label}.{parameter.name}", (attached, part))
+            for label, instances in places.items():
+                names.setdefault(f"{label}.{parameter.name}", (attached, part, instances))
                 if len(attached.effect.parameters) == 1:
-                    names.setdefault(label, (attached, part))
+                    names.setdefault(label, (attached, part, instances))
     if name not in names:
         near = units.near_matches(name, list(names))
         hint = f"did you mean '{near[0]}'? " if near else ""
         labels = ", ".join(f"{one.effect.label}" for one in problem.attached) or "none"
         raise InputError(f"--with-effect {name}: there is no such effect; {hint}There are: {labels}")
-    attached, part = names[name]
+    attached, part, instances = names[name]
     unit = attached.unknown.units[part]
     try:
         plain = float(text)
@@ -83,9 +86,9 @@ def _set(problem: Problem, values: dict[Any, Any], name: str, text: str) -> None
             raise InputError(f"--with-effect {name}: {error}; write a number in {unit}, or with its unit") from None
     else:
         value = float(units.to_si(plain, unit))
-    parameters = np.array(values[attached.unknown], dtype=float)
-    parameters[..., part] = value
-    values[attached.unknown] = parameters
+    parameters = np.reshape(np.array(values[attached.unknown], dtype=float), (attached.unknown.count, -1))
+    parameters[instances, part] = value
+    values[attached.unknown] = parameters.reshape(attached.unknown.shape)
 
 
 def _place(observations: Observations, tables: Mapping[str, Table]) -> tuple[str, list[str]] | None:

@@ -13,7 +13,7 @@ from calib.job import Job
 from problems.network.blunders import advice
 from problems.network.checks import checked, started
 from problems.network.declare import declare, settle
-from problems.network.effects import effects
+from problems.network.effects import effects, with_candidates
 from problems.network.example import example, example_job
 from problems.network.gkf import read_gkf
 from problems.network.reduction import reduced
@@ -36,11 +36,11 @@ def surveyed(job: Job) -> Survey:
 
 
 def from_job(job: Job) -> Problem:
-    """Declare the network of a .gkf file or of a job with tables.
+    """Declare the network of a .gkf file or of a job with tables, with the effects that its instruments may have.
 
     Raises InputError naming points and what they lack, where the network cannot be adjusted.
     """
-    return declare(settle(surveyed(job)))
+    return with_candidates(declare(settle(surveyed(job))))
 
 
 def remarks(job: Job) -> list[str]:
@@ -72,4 +72,5 @@ __all__ = [
     "settle",
     "started",
     "surveyed",
+    "with_candidates",
 ]

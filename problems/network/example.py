@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from calib import Problem, linearise, simulate
-from calib.units import arcsec, degree, mm
+from calib.units import arcsec, degree, minute, mm
 from problems.network.declare import declare
+from problems.network.effects import with_candidates
 from problems.network.survey import ADJUSTED, FIXED, Batch, Point, Survey
 
 PLACES = {"A": (0.0, 0.0, 10.0), "B": (80.0, 10.0, 12.0), "1": (20.0, 50.0, 15.0), "2": (60.0, 60.0, 11.0),
@@ -21,21 +22,22 @@ def survey() -> Survey:
     points["A"], points["B"] = Point(PLACES["A"], FIXED, FIXED), Point(PLACES["B"], FIXED, ADJUSTED)
     station, target = (np.array(keys) for keys in zip(*SIGHTS, strict=True))
     n = len(station)
+    recorded = {"time": (5.0 * minute * np.arange(n), "min"), "block": 1 + np.arange(n) % 5 // 3}
     levelled = (["A", "1", "2", "4", "B", "3"], ["1", "2", "4", "B", "3", "A"])
     return Survey(points, [
         Batch("direction", station, target, None, np.full(n, 2.0 * arcsec), orientation=station, group="directions",
-              unit="deg"),
+              unit="deg", covariates=recorded),
         Batch("slope distance", station, target, None, np.full(n, 1.0 * mm), station_height=1.6, target_height=1.3,
-              group="slope_distances"),
+              group="slope_distances", covariates=recorded),
         Batch("zenith angle", station, target, None, np.full(n, 3.0 * arcsec), station_height=1.6, target_height=1.3,
-              group="zenith_angles", unit="deg"),
+              group="zenith_angles", unit="deg", covariates=recorded),
         Batch("height difference", *levelled, None, np.full(6, 0.5 * mm), group="height_differences"),
     ], name="network of two stations")
 
 
 def example(seed: int) -> Problem:
     """The network with simulated readings. seed: of the errors."""
-    return simulate(declare(survey()), None, seed)
+    return with_candidates(simulate(declare(survey()), None, seed))
 
 
 def example_job(seed: int) -> dict[str, str]:
@@ -52,11 +54,13 @@ def example_job(seed: int) -> dict[str, str]:
         readings = np.zeros(0) if group.readings is None else group.readings[:, 0]
         heights = ",1.6,1.3" if name in ("slope_distances", "zenith_angles") else ""
         further = ",station_height_m,target_height_m" if heights else ""
-        lines = [f"# source: simulated\nstation,target,{header}{further}"]
+        timed = [f",{t / minute:.0f},{b}" for t, b in zip(group.covariates.get("time", ()),
+                                                          group.covariates.get("block", ()), strict=True)]
+        lines = [f"# source: simulated\nstation,target,{header}{further}{',time_min,block' if timed else ''}"]
         ends = (group.covariates[name] for name in ("station", "target"))
-        for station, target, value in zip(*ends, readings, strict=True):
+        for station, target, value, when in zip(*ends, readings, timed or [""] * len(readings), strict=True):
             shown = value / factor % 360.0 if name == "directions" else value / factor
-            lines.append(f"{station},{target},{shown:.7f}{heights}")
+            lines.append(f"{station},{target},{shown:.7f}{heights}{when}")
         files[f"{name}.csv"] = "\n".join(lines) + "\n"
     files["azimuths.csv"] = "# source: known bearing of the line A B\nstation,target,reading_deg\nA,B,7.1250163\n"
     return files

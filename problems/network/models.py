@@ -2,7 +2,8 @@
 
 A point has the coordinates of its network: (x, y), (z) or (x, y, z); a plane reading uses the first two, a height the
 last. `sense` is +1 where readings of circles and the axes x, y turn the same way, else -1; `north` is the angle from
-the axis x to north in the sense of the circles. Slots: `distance`, `circle`, `zenith` and `height`.
+the axis x to north in the sense of the circles. Slots: `distance`, `circle`, `zenith`, `height`, and `standpoint`, the
+place where the instrument really stands.
 """
 
 from __future__ import annotations
@@ -32,35 +33,43 @@ def _bearing(station: Any, target: Any, sense: Any) -> Any:
     return atan2(sense * y, x)
 
 
-def horizontal_distance(station: Any, target: Any, *, distance: Any = direct) -> Any:
+def horizontal_distance(station: Any, target: Any, *, distance: Any = direct, standpoint: Any = direct) -> Any:
     """Distance in the plane [m]; station, target: points [m]."""
-    length = _across(station, target)[2]
+    length = _across(standpoint(station), target)[2]
     return distance(length, length=length)
 
 
 def slope_distance(
-    station: Any, target: Any, station_height: Any, target_height: Any, *, distance: Any = direct
+    station: Any, target: Any, station_height: Any, target_height: Any, *, distance: Any = direct,
+    standpoint: Any = direct
 ) -> Any:
     """Distance in space [m] between instrument and target, each at its height above its point [m]."""
+    station = standpoint(station)
     length = sqrt(
         _across(station, target)[2] ** 2 + _upwards(station, target, station_height, target_height) ** 2
     )
     return distance(length, length=length)
 
 
-def direction(station: Any, target: Any, orientation: Any, sense: Any, *, circle: Any = direct) -> Any:
+def direction(station: Any, target: Any, orientation: Any, sense: Any, *, circle: Any = direct,
+              standpoint: Any = direct) -> Any:
     """Reading of a horizontal circle [rad]; orientation: angle from the axis x to its zero [rad]."""
+    station = standpoint(station)
     return circle(_bearing(station, target, sense) - orientation, length=_across(station, target)[2])
 
 
-def angle(station: Any, back: Any, target: Any, sense: Any, *, circle: Any = direct) -> Any:
+def angle(station: Any, back: Any, target: Any, sense: Any, *, circle: Any = direct,
+          standpoint: Any = direct) -> Any:
     """Horizontal angle [rad] from the point `back` to the target."""
+    station = standpoint(station)
     turned = _bearing(station, target, sense) - _bearing(station, back, sense)
     return circle(turned, length=_across(station, target)[2])
 
 
-def azimuth(station: Any, target: Any, sense: Any, north: Any, *, circle: Any = direct) -> Any:
+def azimuth(station: Any, target: Any, sense: Any, north: Any, *, circle: Any = direct,
+            standpoint: Any = direct) -> Any:
     """Horizontal angle [rad] from north to the target."""
+    station = standpoint(station)
     return circle(_bearing(station, target, sense) - north, length=_across(station, target)[2])
 
 

@@ -8,7 +8,7 @@ Sources: Kabsch (1976), Acta Crystallographica A32; Takatsuji et al. (1998), Mea
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,8 @@ POLAR = ("range", "azimuth", "zenith")
 @dataclass(frozen=True, eq=False)
 class Sightings:
     """Polar readings of trackers: station, target (n,) keys; readings (n, 3) range [m], azimuth, zenith angle [rad], or
-    None to plan; u: (3,), (n, 3) or Gaussian; levelled: whether the standing axes are along z."""
+    None to plan; u: (3,), (n, 3) or Gaussian; levelled: whether the standing axes are along z; covariates: as of
+    Observations."""
 
     station: Sequence[str] | NDArray
     target: Sequence[str] | NDArray
@@ -35,6 +36,7 @@ class Sightings:
     levelled: bool = False
     group: str = "tracker"
     rows: ArrayLike | None = None
+    covariates: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def targets(self) -> list[str]:
@@ -45,7 +47,8 @@ class Sightings:
 @dataclass(frozen=True, eq=False)
 class Ranging:
     """Readings of tracking interferometers of unknown base point and dead path: instrument, target (n,) keys; readings
-    (n,) [m] or None; u: number, (n,) or Gaussian; counts: +1 where readings grow with the path, else -1."""
+    (n,) [m] or None; u: number, (n,) or Gaussian; counts: +1 where readings grow with the path, else -1; covariates: as
+    of Observations."""
 
     instrument: Sequence[str] | NDArray
     target: Sequence[str] | NDArray
@@ -54,6 +57,7 @@ class Ranging:
     counts: float = 1.0
     group: str = "ranges"
     rows: ArrayLike | None = None
+    covariates: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def targets(self) -> list[str]:
@@ -195,7 +199,8 @@ def observations(
             station[np.array([number[k] for k in stations.tolist()])],
             point[np.array([place[k] for k in targets.tolist()])],
             readings=batch.readings, u=batch.u, group=batch.group, unit=("m", "rad", "rad"), components=POLAR,
-            period=laser_tracker.PERIOD, rows=batch.rows, covariates={"station": stations, "target": targets},
+            period=laser_tracker.PERIOD, rows=batch.rows, covariates={"station": stations, "target": targets,
+                                                                     **batch.covariates},
         ))
     for one in ranging:
         assert base is not None
@@ -207,6 +212,6 @@ def observations(
             base[np.array([number[k] for k in instruments.tolist()])],
             Shared(one.counts),
             readings=one.readings, u=one.u, group=one.group, unit="m", rows=one.rows,
-            covariates={"station": instruments, "target": targets},
+            covariates={"station": instruments, "target": targets, **one.covariates},
         ))
     return found

@@ -39,11 +39,14 @@ columns = {
                 "its axis is vertical"},
     "ranges": {"instrument, target": "of an interferometer whose base point and dead path are unknown",
                "reading": "its length; the instrument gives u and counts (lengthening or shortening)"},
+    "any of them": {"time, temp": "when it was read and how warm it was; drifts and thermal effects can then be found",
+                    "block": "a number that grows where something was set up anew"},
     "vectors": {"station, target": "names of points", "dx, dy, dz": "differences of coordinates", "u": "of each"},
     "coordinates": {"station": "name of the point", "x, y, z": "observed", "u": "of each"},
 }
 options = {"axes": "directions of x and y: ne (default), en, sw, ...",
            "circles": "clockwise (default) or counterclockwise",
+           "reference_temperature": "from which temperatures count (20 °C if not given)",
            "leave_out_weak": "true to adjust the rest where points lack readings, and say what was left out"}
 
 
@@ -87,7 +90,20 @@ def _sightings(job: Job) -> Sightings:
     readings = np.column_stack([ranges, table.number("azimuth", "angle"), table.number("zenith", "angle")])
     u = np.column_stack([constant + per_metre * ranges, angles / np.sin(readings[:, 2]), angles])
     levelled = instrument.flag("levelled", False)
-    return Sightings(table.text("station"), table.text("target"), readings, u, levelled, rows=table.row_numbers)
+    return Sightings(table.text("station"), table.text("target"), readings, u, levelled, rows=table.row_numbers,
+                     covariates=_recorded(job, table))
+
+
+def _recorded(job: Job, table: Table) -> dict[str, Any]:
+    """What drives effects and was written down with each reading; times count from the first reading of the job."""
+    found: dict[str, Any] = {}
+    if table.has("time"):
+        times = [t.number("time", "time") for t in job.tables.values() if t.has("time")]
+        found["time"] = (table.number("time", "time") - min(float(t.min()) for t in times if len(t)), "min")
+    if table.has("temp"):
+        reference = job.options.quantity("reference_temperature", "temperature", 293.15)
+        found["temperature_difference"] = (table.number("temp", "temperature") - reference, "K")
+    return found | {name: table.whole(name) for name in ("block",) if table.has(name)}
 
 
 def _ranging(job: Job) -> Ranging:
@@ -96,7 +112,7 @@ def _ranging(job: Job) -> Ranging:
     counts = instrument.text("counts", "lengthening", ("lengthening", "shortening"))
     return Ranging(table.text("instrument"), table.text("target"), table.number("reading", "length"),
                    noise.of_lengths(constant, per_metre), 1.0 if counts == "lengthening" else -1.0,
-                   rows=table.row_numbers)
+                   rows=table.row_numbers, covariates=_recorded(job, table))
 
 
 def _points(table: Table, parts: str) -> dict[str, Point]:
@@ -142,6 +158,7 @@ def _batch(job: Job, name: str) -> Batch:
         group=name,
         unit=unit,
         rows=table.row_numbers,
+        covariates=_recorded(job, table),
     )
 
 
