@@ -1,4 +1,4 @@
-"""Algebraic, pairwise and orthogonal fits of a circle on arcs from 20 to 330 degrees and under five kinds of noise.
+"""Algebraic, pairwise and orthogonal fits of a circle on arcs from 20 to 330 degrees and under six kinds of noise.
 
 Run: python benchmarks/formulations_circle.py [trials]; writes benchmarks/results/formulations_circle.md and .png.
 24 points on a radius of 100 mm, u = 50 um on each coordinate. Bias, spread and efficiency are those of the radius;
@@ -8,32 +8,25 @@ efficiency is the Cramer-Rao bound of the declared problem over the mean square 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 import calib
 from calib import Gaussian
-from calib.errors import CalibrationError
 from calib.units import degree, um
+from calib.workflow.compare.again import again
+from calib.workflow.compare.answer import Wanted, results
+from calib.workflow.compare.formulation import Global
+from calib.workflow.compare.study import AS_STATED, NOISES, Noise, study
 from problems import circle, circle_formulations
 
 RESULTS = Path(__file__).parent / "results"
 RADIUS, NOISE, POINTS = 0.1, 50.0 * um, 24
 ARCS = (20, 45, 90, 180, 330)
-Fit = Callable[[calib.Problem], float]
-
-
-def fits() -> dict[str, Fit]:
-    """The radius [m] that each formulation gives to a declared circle."""
-    found: dict[str, Fit] = {"orthogonal distance": lambda problem: float(calib.solve(problem)["radius"])}
-    for name, one in circle_formulations.formulations(None).items():
-        if hasattr(one, "values") and name != "mean of positions":
-            found[name] = lambda problem, one=one: float(one.values(problem)["radius"])
-        elif hasattr(one, "declare") and name != "equation 14":
-            found[name] = lambda problem, one=one: float(calib.solve(one.declare(problem))["radius"])
-    return found
+OBJECTIVES = {name: one for name, one in circle_formulations.formulations(None).items()
+              if not isinstance(one, Global) and name not in ("equation 14", "mean of positions")}
 
 
 def points_on(arc: float) -> tuple[np.ndarray, np.ndarray]:
@@ -42,52 +35,25 @@ def points_on(arc: float) -> tuple[np.ndarray, np.ndarray]:
     return angle, RADIUS * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(POINTS)])
 
 
-def errors_of(kind: str, generator: np.random.Generator) -> np.ndarray:
-    """Errors (n, 3) [m] of a kind of noise; the declared problem always states NOISE on each coordinate, except for
-    `heteroscedastic`, where it states what is there."""
-    draw = generator.normal(size=(POINTS, 3))
-    if kind == "heteroscedastic":
-        return draw * uneven()[:, None]
-    if kind == "one in ten eight times larger":
-        return NOISE * draw * np.where(generator.uniform(size=(POINTS, 1)) < 0.1, 8.0, 1.0)
-    if kind == "correlated from point to point (0.8)":
-        for k in range(1, POINTS):
-            draw[k] = 0.8 * draw[k - 1] + 0.6 * draw[k]
-    return NOISE * draw
-
-
 def uneven() -> np.ndarray:
-    """Standard uncertainties (n,) [m] of points whose second half is five times worse."""
-    return NOISE * np.where(np.arange(POINTS) < POINTS // 2, 1.0, 5.0)
+    """Standard uncertainties (n, 3) [m] of points whose second half is five times worse, which is stated."""
+    return NOISE * np.where(np.arange(POINTS) < POINTS // 2, 1.0, 5.0)[:, None] * np.ones(3)
 
 
-KINDS = ("Gaussian", "heteroscedastic", "one in ten eight times larger", "correlated from point to point (0.8)")
-
-
-def study(arc: float, kind: str, trials: int) -> list[dict[str, float | str]]:
-    """Bias, spread and efficiency of every fit on one arc under one kind of noise."""
+def studied(arc: float, u: float | np.ndarray, label: str, noises: Sequence[Noise],
+            trials: int) -> list[dict[str, float | str]]:
+    """Bias, spread and efficiency of the radius by every fit on one arc."""
     angle, exact = points_on(arc)
-    u = np.tile(uneven()[:, None], 3) if kind == "heteroscedastic" else NOISE
-    declared = circle.declare(exact, u if np.ndim(u) == 0 else Gaussian.standard(u), angle)
-    stated = calib.covariance(calib.linearise(declared), "radius").u[0]
-    found: dict[str, list[float]] = {name: [] for name in fits()}
-    for seed in range(trials):
-        generator = np.random.default_rng([seed, int(arc)])
-        problem = circle.declare(exact + errors_of(kind, generator), u if np.ndim(u) == 0 else Gaussian.standard(u),
-                                 angle)
-        for name, fit in fits().items():
-            try:
-                found[name].append(fit(problem) - RADIUS)
-            except CalibrationError:
-                continue
-    rows = []
-    for name, errors in found.items():
-        error = np.array(errors)
-        rows.append({"noise": kind, "arc_deg": arc, "formulation": name, "stated_u_um": stated / um,
-                     "bias_in_stated_u": error.mean() / stated, "u_of_bias": error.std() / stated / len(error) ** 0.5,
-                     "spread_over_stated_u": error.std(ddof=1) / stated,
-                     "efficiency": stated**2 / np.mean(error**2), "failures": trials - len(error)})
-    return rows
+    truth = calib.solve(circle.declare(exact, u if np.ndim(u) == 0 else Gaussian.standard(u), angle))
+    wanted = Wanted.of(truth.problem, [truth.problem.select("radius")])
+    values, bound = results(truth.fit, wanted)
+    runs = {name: again(one, wanted, truth) for name, one in
+            {"orthogonal distance": calib.GaussNewton(), **OBJECTIVES}.items()}
+    found = study(truth, bound, values, runs, trials, int(arc), noises)
+    return [{"noise": label if one.noise == AS_STATED.name else one.noise, "arc_deg": arc, "formulation": name,
+             "stated_u_um": one.u[0] / um, "bias_in_stated_u": one.bias[0], "u_of_bias": one.u_of_bias[0],
+             "spread_over_stated_u": one.spread[0], "efficiency": one.efficiency[0], "failures": one.failures}
+            for noise in noises for name, each in found.items() for one in each if one.noise == noise.name]
 
 
 def as_table(rows: list[dict[str, float | str]]) -> str:
@@ -121,8 +87,9 @@ def plot(rows: list[dict[str, float | str]], path: Path) -> None:
 
 
 def main(trials: int) -> None:
-    arcs = [row for arc in ARCS for row in study(arc, "Gaussian", trials)]
-    noises = [row for kind in KINDS[1:] for row in study(180, kind, trials)]
+    arcs = [row for arc in ARCS for row in studied(arc, NOISE, "Gaussian", [AS_STATED], trials)]
+    noises = [*studied(180, uneven(), "second half five times worse, stated", [AS_STATED], trials),
+              *studied(180, NOISE, "", NOISES[1:], trials)]
     RESULTS.mkdir(exist_ok=True)
     text = "\n".join([f"# Formulations of a circle ({trials} trials each)", "", "## Arc, Gaussian noise", "",
                       as_table(arcs), "## Other noise, half a turn", "", as_table(noises)])

@@ -50,11 +50,14 @@ class Weighting:
 
     def draw(self, generator: np.random.Generator) -> Array:
         """Errors (n, dim) drawn from this covariance."""
-        normal = generator.standard_normal(self.u.shape)
-        errors = np.empty_like(normal)
+        return self.coloured(generator.standard_normal(self.u.shape))
+
+    def coloured(self, standard: Array) -> Array:
+        """Errors (n, dim) of this covariance from independent ones of variance one."""
+        errors = np.empty_like(standard)
         for mixing in self.factors:
-            block = mixing.apply(normal, ())
-            errors[block.rows] = block.residual.reshape(*block.rows.shape, normal.shape[1])
+            block = mixing.apply(standard, ())
+            errors[block.rows] = block.residual.reshape(*block.rows.shape, standard.shape[1])
         return errors
 
 

@@ -198,5 +198,5 @@ def example_job(seed: int) -> dict[str, str]:
     return {
         "job.toml": 'problem = "problems.circle"\n\n[data.points]\nfile = "points.csv"\ninstrument = "tracker"\n\n'
                     '[instruments.tracker]\nkind = "laser_tracker"\nsigma_range_um = 2.0\nsigma_azimuth_arcsec = 1.0\n'
-                    'sigma_zenith_arcsec = 1.0\n\n[report]\nquantities = ["angle"]\n',
+                    'sigma_zenith_arcsec = 1.0\n\n[report]\nquantities = ["centre", "radius", "angle"]\n',
         "points.csv": f"# source: simulated, seed {seed}\ni,command_deg,x_mm,y_mm,z_mm\n" + "\n".join(lines) + "\n"}

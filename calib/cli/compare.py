@@ -20,10 +20,12 @@ from calib.report import numbers
               help="Draws for the uncertainty of what has no formula for it.")
 @click.option("--seconds", type=click.FloatRange(0.1), default=10.0, show_default=True,
               help="Processor time for the random starts of each line; what was not tried then is said.")
+@click.option("--study", "trials", type=click.IntRange(0, 100_000), default=0, show_default=True,
+              help="Trials of a simulation under each of five kinds of noise: bias, spread, efficiency; 0: none.")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
 @problem_file_option
 @output_options
-def compare(job: Path, starts: int, draws: int, seconds: float, seed: int, problem_file: Path | None,
+def compare(job: Path, starts: int, draws: int, seconds: float, trials: int, seed: int, problem_file: Path | None,
             output: Output) -> int:
     """Solve JOB under every method and formulation that accepts it, and say why the others refuse.
 
@@ -33,6 +35,7 @@ def compare(job: Path, starts: int, draws: int, seconds: float, seed: int, probl
     from calib.report.provenance import provenance
     from calib.workflow.compare.side_by_side import Comparison, Effort, methods
     from calib.workflow.compare.side_by_side import compare as compared
+    from calib.workflow.compare.study import NOISES
     from calib.workflow.solution import declared, requested
 
     read = Job.read(job)
@@ -41,8 +44,9 @@ def compare(job: Path, starts: int, draws: int, seconds: float, seed: int, probl
     what = requested(problem, read.quantities, read.report.where("quantities"))
     others = module.formulations(read) if hasattr(module, "formulations") else {}
     where = module.start_region(read) if hasattr(module, "start_region") else None
-    with output.progress(f"comparing {job.name}", len(methods()) + len(others)) as step:
-        found: Comparison = compared(problem, what, others, Effort(starts, draws, seed, seconds), where, step)
+    with output.progress(f"comparing {job.name}",
+                         len(methods()) + len(others) + (len(NOISES) if trials else 0)) as step:
+        found: Comparison = compared(problem, what, others, Effort(starts, draws, seed, seconds, trials), where, step)
     origin = provenance([*read.files, *([problem_file] if problem_file else [])], typed(), seed)
     content = report.content(found)
     output.result(content)

@@ -12,6 +12,7 @@ from calib.report import numbers, plots
 from calib.report.provenance import Provenance
 from calib.report.template import Cell, Drawing, Grid, render
 from calib.workflow.compare.side_by_side import STATED, Compared, Comparison
+from calib.workflow.compare.study import Performance
 
 ANSWERS = 4        # results in the first sentence
 SHOWN = 8          # results whose values stand in the table; comparison.json holds all
@@ -30,8 +31,8 @@ def content(comparison: Comparison) -> list[dict[str, Any]]:
         "u_from": line.u_from, "difference_in_u": dict(line.difference), "objective": line.objective,
         "certificate": None if line.certificate is None else files.plain(line.certificate),
         "converged": line.converged, "iterations": line.iterations, "seconds": line.seconds,
-        "memory_bytes": line.memory, "starts": _starts(line), "bound": _bound(line), "note": line.note,
-        "source": line.source,
+        "memory_bytes": line.memory, "starts": _starts(line), "bound": _bound(line), "study": _study(line),
+        "note": line.note, "source": line.source,
     } for line in comparison.lines]
 
 
@@ -48,6 +49,15 @@ def _bound(line: Compared) -> dict[str, Any] | None:
         return None
     return {"lower": float(line.bound.lower), "gap": float(line.bound.gap), "proven": bool(line.bound.proven),
             "sentence": line.bound.sentence}
+
+
+def _study(line: Compared) -> list[dict[str, Any]]:
+    def by_name(performance: Performance, values: Any) -> dict[str, float]:
+        return dict(zip(performance.names, values.tolist(), strict=True))
+    return [{"noise": one.noise, "trials": len(one.errors), "failures": one.failures,
+             "bias_in_u": by_name(one, one.bias), "u_of_bias": by_name(one, one.u_of_bias),
+             "spread_over_u": by_name(one, one.spread), "efficiency": by_name(one, one.efficiency)}
+            for one in line.study]
 
 
 def sentences(comparison: Comparison) -> list[str]:
@@ -108,7 +118,8 @@ def html(comparison: Comparison, provenance: Provenance) -> str:
         "comparison.html.j2", title=f"{comparison.problem.name}: formulations side by side",
         passed=reference is not None, answers=sentences(comparison), effort=_effort(comparison),
         results=_results(comparison), refused=_refused(comparison), notes=_notes(comparison),
-        differences=_differences(comparison), reach=_reach(comparison),
+        differences=_differences(comparison), reach=_reach(comparison), studies=_studies(comparison),
+        spread=_spread(comparison),
         provenance=provenance.lines(),
     )
 
@@ -185,6 +196,45 @@ def _differences(comparison: Comparison) -> Drawing | None:
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
     axes.set_xlabel("difference from the reference, in units of its u")
     return Drawing.of(figure, "differences", "Every mark is one result; the band is one standard uncertainty.")
+
+
+def _studies(comparison: Comparison) -> list[tuple[str, Grid]]:
+    """A table for each noise: the worst result of every formulation."""
+    noises = dict.fromkeys(one.noise for line in comparison.lines for one in line.study)
+    tables = []
+    for noise in noises:
+        rows: list[list[str | Cell]] = []
+        for line in comparison.lines:
+            for one in line.study:
+                if one.noise == noise:
+                    bias = one.bias[np.argmax(np.abs(one.bias / one.u_of_bias))]
+                    rows.append([_called(line), numbers.plain(bias, 2), numbers.plain(one.u_of_bias.max(), 2),
+                                 numbers.plain(one.spread.min(), 3), numbers.plain(one.spread.max(), 3),
+                                 numbers.plain(one.efficiency.min(), 2), str(len(one.errors)), str(one.failures)])
+        tables.append((noise, Grid(["formulation: method", "bias / u", "u of bias", "least spread / u",
+                                    "largest spread / u", "least efficiency", "trials", "failures"], rows)))
+    return tables
+
+
+def _spread(comparison: Comparison) -> Drawing | None:
+    """True spread over the bound, all results together: a mark for each formulation and noise."""
+    lines = [line for line in comparison.lines if line.study]
+    if not lines:
+        return None
+    figure, axes = plots.canvas(1.2 + 0.3 * len(lines), fitted=True)
+    axes.axvline(1.0, color=plots.FAINT, linewidth=1)
+    for number, noise in enumerate(dict.fromkeys(one.noise for line in lines for one in line.study)):
+        here = [(place, one) for place, line in enumerate(lines) for one in line.study if one.noise == noise]
+        axes.scatter([float(np.sqrt(np.mean(one.spread**2))) for _, one in here], [place for place, _ in here], s=30,
+                     marker="osD^v"[number % 5], color=plots.SERIES[number % len(plots.SERIES)], label=noise, alpha=0.8)
+    axes.set_yticks(range(len(lines)), [_called(line) for line in lines])
+    axes.invert_yaxis()
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:.0e}"[0] in "25" else "")
+    axes.set_xlabel("true spread over the u of the declared problem (rms over the results)")
+    axes.legend(frameon=False, labelcolor=plots.INK, fontsize=8, loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=2)
+    return Drawing.of(figure, "spread", "One is what the stated uncertainties promise to the best estimator.")
 
 
 def _reach(comparison: Comparison) -> Drawing | None:

@@ -60,7 +60,9 @@ class GaussNewton(Method):
             if here.infeasible <= 1e-3 and (
                 remaining <= self.tolerance or (remaining <= max(1e-6, floor) and still and damping == 0.0)
             ):
-                return Outcome(_moved(layout, here.values, undamped.step, room), True, iteration, "converged")
+                arrived = _moved(layout, here.values, undamped.step, room)
+                if system.active_conditions(arrived)[2] <= 1.0:  # a bent condition may be left by the last step
+                    return Outcome(arrived, True, iteration, "converged")
             slow, last = slow + 1 if remaining > 0.3 * last else 0, remaining
             multipliers = (
                 np.linalg.lstsq(conditions.matrix.T, here.pull, rcond=None)[0]

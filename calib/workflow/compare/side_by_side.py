@@ -22,9 +22,11 @@ from calib.solve.ipopt import ExactHessian, GaussNewtonHessian, Ipopt
 from calib.solve.loss import L1, Huber, LeastSquares, MinimumZone
 from calib.solve.method import Method
 from calib.system import System
+from calib.workflow.compare.again import Again, again, from_anywhere
 from calib.workflow.compare.answer import Placed, Wanted, placed, results, said_by
 from calib.workflow.compare.formulation import ClosedForm, Formulation, Global, Redeclared
 from calib.workflow.compare.starts import Starts, region, starts
+from calib.workflow.compare.study import NOISES, Performance, study
 
 DECLARED = "declared problem"
 PATIENCE = 100      # iterations after which a random start counts as failed
@@ -33,12 +35,14 @@ STATED, DRAWN, NOT_KNOWN = "stated uncertainties", "simulation", "not known"
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is tried: starts, draws for u where no formula gives it, seed, seconds for the starts of each."""
+    """How much is tried: starts, draws for u where no formula gives it, seed, seconds for the starts of each, and
+    trials of a study under each noise (0: no study)."""
 
     starts: int = 200
     draws: int = 100
     seed: int = 1
     seconds: float = 10.0
+    trials: int = 0
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ class Compared:
 
     values, u, difference: {result: SI}, the difference in units of the reference's u; u_from: where u comes from.
     objective: v'Pv of the declared problem at this answer, None with `note` why. seconds; memory: peak bytes of Python
-    and NumPy. starts, bound: where they apply.
+    and NumPy. starts, bound: where they apply. study: under each noise, where it was asked for.
     """
 
     formulation: str
@@ -66,6 +70,7 @@ class Compared:
     memory: int | None = None
     starts: Starts | None = None
     bound: Bound | None = None
+    study: tuple[Performance, ...] = ()
     note: str = ""
     source: str = ""
 
@@ -122,6 +127,8 @@ def compare(declared: Problem, what: Sequence[Any], formulations: Mapping[str, F
         lines = [_with_difference(line, reference) for line in lines]
         if effort.starts:
             lines = list(_with_starts(lines, formulations, declared, estimate, effort, start_region))
+        if effort.trials:
+            lines = _with_study(lines, formulations, wanted, reference, estimate, effort, step)
     return Comparison(declared, wanted, tuple(lines), lines[0] if reference is lines[0] else _same(lines, reference))
 
 
@@ -161,8 +168,8 @@ def _by_method(declared: Problem, wanted: Wanted, name: str, label: str, method:
         return _refused(name, label, str(error)), None
     u_from = STATED
     if not method.least_squares:
-        u, u_from = _u_by_drawing(declared, estimate if around is None else around, effort, values,
-                                  lambda drawn: results(linearise(solve(drawn, method)), wanted)[0])
+        around = estimate if around is None else around
+        u, u_from = _u_by_drawing(around, effort, values, again(method, wanted, around))
     line = Compared(name, label, True, "", values, u, u_from, {}, estimate.objective, estimate.certificate,
                     estimate.converged, estimate.iterations, seconds, memory, note="" if estimate.converged
                     else estimate.message)
@@ -186,8 +193,7 @@ def _by_formulation(declared: Problem, wanted: Wanted, name: str, formulation: F
         return _refused(name, method, str(error), source)
     u_from = STATED
     if isinstance(formulation, Redeclared):
-        u, u_from = _u_by_drawing(declared, around, effort, values, lambda drawn: results(
-            linearise(solve(formulation.declare(drawn))), wanted)[0])
+        u, u_from = _u_by_drawing(around, effort, values, again(formulation, wanted, around))
     at = placed(declared, said_by(estimate, [one.name for one in declared.unknowns]), around)
     return Compared(name, "Gauss-Newton", True, "", values, u, u_from, {}, at.objective, estimate.certificate,
                     estimate.converged, estimate.iterations, seconds, memory,
@@ -201,11 +207,8 @@ def _closed(declared: Problem, wanted: Wanted, name: str, formulation: ClosedFor
     if at.fit is None:
         return _refused(name, "closed form", at.why, formulation.source)
 
-    def of(problem: Problem, said: Mapping[str, Any]) -> dict[str, float]:
-        found = placed(problem, said, around)
-        return {} if found.fit is None else results(found.fit, wanted)[0]
-    values = of(declared, said)
-    u, u_from = _u_by_drawing(declared, around, effort, values, lambda drawn: of(drawn, formulation.values(drawn)))
+    values = results(at.fit, wanted)[0]
+    u, u_from = _u_by_drawing(around, effort, values, again(formulation, wanted, around))
     return Compared(name, "closed form", True, "", values, u, u_from, {}, at.objective, None, True, None, seconds,
                     memory, note=_said(at), source=formulation.source)
 
@@ -217,8 +220,7 @@ def _said(at: Placed) -> str:
 
 def _global(declared: Problem, wanted: Wanted, name: str, formulation: Global) -> Compared:
     def run() -> tuple[Estimate, Bound]:
-        begin = {declared.select(key): value for key, value in formulation.begin(declared).items()}
-        estimate = solve(declared, GaussNewton(), {key.unknown: value for key, value in begin.items()})
+        estimate = from_anywhere(declared, formulation)
         return estimate, formulation.bound(estimate)
     (estimate, bound), seconds, memory = _measured(run)
     values, u = results(linearise(estimate), wanted)
@@ -227,13 +229,13 @@ def _global(declared: Problem, wanted: Wanted, name: str, formulation: Global) -
                     source=formulation.source)
 
 
-def _u_by_drawing(declared: Problem, around: Estimate, effort: Effort, values: Mapping[str, float],
-                  run: Callable[[Problem], Mapping[str, float]]) -> tuple[dict[str, float], str]:
+def _u_by_drawing(around: Estimate, effort: Effort, values: Mapping[str, float],
+                  run: Again) -> tuple[dict[str, float], str]:
     """Standard deviation of results over readings drawn around an estimate with the stated uncertainties."""
     samples: list[list[float]] = []
     for draw in range(effort.draws):
         try:
-            found = run(simulate(declared, around, effort.seed + draw))
+            found = run(simulate(around.problem, around, effort.seed + draw))
         except CalibrationError:
             continue
         if all(name in found for name in values):
@@ -271,3 +273,20 @@ def _with_starts(lines: Sequence[Compared], formulations: Mapping[str, Formulati
             continue
         method = replace(by_name[line.method], iterations=PATIENCE)  # type: ignore[type-var]
         yield replace(line, starts=starts(problem, method, around, its, effort.starts, effort.seed, effort.seconds))
+
+
+def _with_study(lines: Sequence[Compared], formulations: Mapping[str, Formulation], wanted: Wanted,
+                reference: Compared, truth: Estimate, effort: Effort, step: Callable[[], None]) -> list[Compared]:
+    """The lines with their performance under simulation. Of the methods that minimise squares one stands for all."""
+    by_name = methods()
+    runs: dict[tuple[str, str], Again] = {}
+    for line in lines:
+        other = formulations.get(line.formulation)
+        if isinstance(other, Global):
+            continue    # the declared problem again, from another start
+        if line.accepted and other is not None:
+            runs[line.formulation, line.method] = again(other, wanted, truth)
+        elif line.accepted and (line.method == reference.method or not by_name[line.method].least_squares):
+            runs[line.formulation, line.method] = again(by_name[line.method], wanted, truth)
+    found = study(truth, reference.u, reference.values, runs, effort.trials, effort.seed, NOISES, step)
+    return [replace(line, study=found.get((line.formulation, line.method), ())) for line in lines]
