@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Generic, TypeVar
@@ -84,6 +84,27 @@ class Term(Generic[B]):
         flat = self.traced.curvature(self.any_free)([*self._inputs(values), *np.ascontiguousarray(weights.T)], self.n)
         size = columns.shape[1]
         return columns, flat.reshape(size, size, self.n).transpose(2, 0, 1)
+
+    def bend(self, values: Values, weights: Array) -> Callable[[Array, Array], None]:
+        """Adds to a sum (size,) the Hessian of weights (n, dim) times the prediction, times a step (size,)."""
+        fixed = [*self._inputs(values), *np.ascontiguousarray(weights.T)]
+        wanted = [(feed.unknown.count == 1, c)  # whether all rows see one instance
+                  for feed, c, want in zip(self.feeds, self.columns, self.any_free, strict=True)
+                  if want and feed.unknown is not None]
+        program = self.traced.bend(self.any_free)
+
+        def add(step: Array, total: Array) -> None:
+            directions = [d for one, c in wanted for d in (step[c[0]] if one else step[c].T.copy())]
+            slopes, begin = program([*fixed, *directions], self.n), 0
+            for one, columns in wanted:
+                for f, slope in enumerate(slopes[begin : begin + columns.shape[1]]):
+                    if one:
+                        total[columns[0, f]] += slope.sum()
+                    else:
+                        total += np.bincount(columns[:, f], slope, len(total))
+                begin += columns.shape[1]
+
+        return add
 
 
 def _excess(term: Term[Constraint], value: Array) -> tuple[Array, Array]:
@@ -286,13 +307,39 @@ class System:
         """What the exact Hessian of half v'Pv and of the conditions adds to the normal matrix, over the free
         columns."""
         matrix = np.zeros((self.layout.size, self.layout.size))
+        for term, weights in self._bent(values, weightings, multipliers):
+            columns, hessians = term.curvature(values, weights)
+            np.add.at(matrix, (columns[:, :, None], columns[:, None, :]), hessians)
+        return matrix[np.ix_(self.layout.free_columns, self.layout.free_columns)]
+
+    def bend(
+        self, values: Values, weightings: Sequence[Weighting], multipliers: Array
+    ) -> Callable[[Array], Array] | None:
+        """Multiplies a step (p,) of the free columns by what `second_order` returns, without forming it; None where
+        everything is affine."""
+        terms = [term.bend(values, weights) for term, weights in self._bent(values, weightings, multipliers)]
+        free = self.layout.free_columns
+
+        def product(step: Array) -> Array:
+            whole, total = np.zeros(self.layout.size), np.zeros(self.layout.size)
+            whole[free] = step
+            for add in terms:
+                add(whole, total)
+            return total[free]
+
+        return product if terms else None
+
+    def _bent(
+        self, values: Values, weightings: Sequence[Weighting], multipliers: Array
+    ) -> list[tuple[Term[Any], Array]]:
+        """Terms whose prediction is bent in what is free, each with the weights (n, dim) of its second derivatives."""
         weighed = [-w.weigh(r) for w, r in zip(weightings, self.residuals(values), strict=True)]
         terms: list[Term[Any]] = [*self.terms, *self.conditions]
-        for term, weights in zip(terms, [*weighed, *self.forces(values, multipliers)], strict=True):
-            if not term.traced.affine and any(term.any_free):
-                columns, hessians = term.curvature(values, weights)
-                np.add.at(matrix, (columns[:, :, None], columns[:, None, :]), hessians)
-        return matrix[np.ix_(self.layout.free_columns, self.layout.free_columns)]
+        return [
+            (term, weights)
+            for term, weights in zip(terms, [*weighed, *self.forces(values, multipliers)], strict=True)
+            if term.n and not term.traced.affine and any(term.any_free)
+        ]
 
     def at_bounds(self, values: Values) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Places among the free columns that sit at their lower and at their upper bound."""

@@ -98,15 +98,33 @@ class Traced:
         wanted source its (dim, freedom) derivatives column by column.
         """
         if wanted not in self._programs:
-            jacobians = [
-                ca.jacobian(self.prediction, local)
-                for local, want in zip(self.symbols.local, wanted, strict=True)
-                if want
-            ]
-            at_rest = self._at_rest([self.prediction, *jacobians])
+            at_rest = self._at_rest([self.prediction, *self.derivatives(self._wanted(wanted))])
             flat = ca.vertcat(*[ca.densify(ca.vec(e)) for e in at_rest])
             self._programs[wanted] = Program([ca.vertcat(*self.symbols.ambient)], flat)
         return self._programs[wanted]
+
+    def _wanted(self, wanted: tuple[bool, ...]) -> list[ca.SX]:
+        return [local for local, want in zip(self.symbols.local, wanted, strict=True) if want]
+
+    def derivatives(self, steps: list[ca.SX]) -> list[ca.SX]:
+        """Derivatives of the prediction in each of the steps, as every row function has them."""
+        widths = [s.shape[0] for s in steps]
+        if sum(widths) <= 4 * self.dim:
+            return [ca.jacobian(self.prediction, s) for s in steps]
+        # A chain with many parameters: a sweep backwards from each component shares what forward sweeps repeat.
+        return ca.horzsplit(ca.jacobian(self.prediction, ca.vertcat(*steps)), np.cumsum([0, *widths]).tolist())
+
+    def bend(self, wanted: tuple[bool, ...]) -> Program:
+        """Row function of stored numbers, data, weights (dim,) and a direction in the wanted steps (F,): the Hessian of
+        weights'prediction times the direction (F,)."""
+        key = ("bend", wanted)
+        if key not in self._programs:
+            weights, steps = ca.SX.sym("weights", self.dim), ca.vertcat(*self._wanted(wanted))
+            direction = ca.SX.sym("direction", steps.shape[0])
+            slope = ca.gradient(ca.dot(weights, self.prediction), steps)
+            flat = ca.densify(self._at_rest([ca.jtimes(slope, steps, direction)])[0])
+            self._programs[key] = Program([ca.vertcat(*self.symbols.ambient), weights, direction], flat)
+        return self._programs[key]
 
     def curvature(self, wanted: tuple[bool, ...]) -> Program:
         """Row function of stored numbers, data and weights (dim,): the Hessian of weights'prediction in the wanted
@@ -114,7 +132,7 @@ class Traced:
         key = ("curvature", wanted)
         if key not in self._programs:
             weights = ca.SX.sym("weights", self.dim)
-            steps = ca.vertcat(*[s for s, want in zip(self.symbols.local, wanted, strict=True) if want])
+            steps = ca.vertcat(*self._wanted(wanted))
             hessian = ca.hessian(ca.dot(weights, self.prediction), steps)[0]
             flat = ca.densify(ca.vec(self._at_rest([hessian])[0]))
             self._programs[key] = Program([ca.vertcat(*self.symbols.ambient), weights], flat)

@@ -54,7 +54,7 @@ def compare(term, values, wanted):
     program, symbols = term.traced.program(wanted), term.traced.symbols
     inputs = inputs_of(term, values)
     local = [s for s, want in zip(symbols.local, wanted, strict=True) if want]
-    derivatives = [ca.jacobian(term.traced.prediction, s) for s in local]
+    derivatives = term.traced.derivatives(local)
     zeros = [ca.SX.zeros(s.shape) for s in symbols.local]
     at_rest = ca.substitute([term.traced.prediction, *derivatives], symbols.local, zeros)
     function, exact = casadi_rows(at_rest, [ca.vertcat(*symbols.ambient)], inputs)

@@ -46,7 +46,7 @@ def test_all_rows_at_once_are_the_rows_one_by_one(name, number):
     term, values = bound_model(name, number)
     symbols, prediction = term.traced.symbols, term.traced.prediction
     known = [s for s, there in zip(symbols.local, term.any_unknown, strict=True) if there]
-    derivatives = [ca.jacobian(prediction, s) for s in known]
+    derivatives = term.traced.derivatives(known)
     at_rest = ca.substitute([prediction, *derivatives], symbols.local, [ca.SX.zeros(s.shape) for s in symbols.local])
     stored, flat = ca.vertcat(*symbols.ambient), ca.vertcat(*[ca.densify(ca.vec(e)) for e in at_rest])
     row = ca.Function("row", [stored], [flat])
@@ -142,6 +142,7 @@ def test_second_derivatives_are_those_of_finite_differences(name, number):
         return
     weights = np.cos(np.arange(term.n * term.dim)).reshape(term.n, term.dim)
     _, hessians = term.curvature(values, weights)
+    assert_bend_is_hessian_times_step(term, values, weights)
     free = ca.vertcat(*[s for s, want in zip(term.traced.symbols.local, term.any_free, strict=True) if want])
     sizes = [np.full(s.shape[0], want) for s, want, known in
              zip(term.traced.symbols.local, term.any_free, term.any_unknown, strict=True) if known]
@@ -156,6 +157,16 @@ def test_second_derivatives_are_those_of_finite_differences(name, number):
         size = np.abs(hessians[row]).max()
         found, doubt = differences(moved, inputs_of(term, values)[:, [row]], sizes_of(term)[chosen], size)
         assert np.all(np.abs(found[:, :, 0] - hessians[row]) <= SHARP * size + 10 * doubt[:, :, 0])
+
+
+def assert_bend_is_hessian_times_step(term, values, weights):
+    columns, hessians = term.curvature(values, weights)
+    size = 1 + max(int(c.max(initial=0)) for c in term.columns)
+    step, expected, found, terms = np.sin(1.0 + np.arange(size)), np.zeros(size), np.zeros(size), np.zeros(size)
+    np.add.at(expected, columns, np.einsum("nfg,ng->nf", hessians, step[columns]))
+    np.add.at(terms, columns, np.einsum("nfg,ng->nf", np.abs(hessians), np.abs(step[columns])))
+    term.bend(values, weights)(step, found)
+    assert np.all(np.abs(found - expected) <= 1e-9 * terms.max())
 
 
 def test_more_rows_than_a_chunk_give_the_same_rows():

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.blocks import Array
-from calib.elimination import Factor
-from calib.factor import DenseFactor
 from calib.linearisation import Linearisation
+from calib.solve.curvature import pulled, smallest_curvature
 from calib.system import System, Values
 
 STATIONARITY = 1e-6  # remaining step, in units of u, that passes
-CURVATURE_SIZE = 400  # unknowns up to which the exact Hessian is formed
+CURVATURE_SIZE = 400  # unknowns up to which the curvature of the exact Hessian is searched
 
 
 @dataclass(frozen=True)
@@ -63,12 +62,7 @@ def certify(
             passed,
             "duality gap closed" if passed else "the duality gap is open or a condition is broken",
         )
-    pull = np.zeros(layout.size)
-    for block in fit.blocks:
-        for part in block.parts:
-            force = (part.jacobian * block.residual[:, :, None]).sum(axis=1)
-            pull += np.bincount(part.columns.ravel(), force.ravel(), layout.size)
-    pull = pull[layout.free_columns]
+    pull = pulled(fit.blocks, [b.residual for b in fit.blocks], layout)
     low, high = system.at_bounds(values)
     pins = np.union1d(low, high)
     stationarity = float(np.sqrt(factor.covariance(pull[None])[0, 0]))
@@ -76,9 +70,8 @@ def certify(
     signs = _signs_hold(multipliers, len(equal), len(unequal), np.isin(pins, low), np.isin(pins, high))
     curvature = None
     if len(layout.free_columns) <= CURVATURE_SIZE and not factor.defect:
-        curvature = _curvature(
-            system.second_order(values, weightings, multipliers[: len(equal) + len(unequal)]), factor
-        )
+        bend = system.bend(values, weightings, multipliers[: len(equal) + len(unequal)])
+        curvature = 1.0 if bend is None else smallest_curvature(bend, fit.blocks, layout, factor)
     reasons = []
     # No step below the rounding of the values themselves can be taken.
     if not (stationarity <= STATIONARITY or stationarity <= system.rounding(values, weightings)):
@@ -114,9 +107,3 @@ def _signs_hold(
         or np.any(low & ~high & (at_bound > slack))
         or np.any(high & ~low & (at_bound < -slack))
     )
-
-
-def _curvature(second: Array, factor: Factor) -> float:
-    """Smallest eigenvalue of the exact Hessian of half v'Pv in the metric of the Gauss-Newton matrix."""
-    root = factor.root if isinstance(factor, DenseFactor) else np.linalg.cholesky(factor.matrix)
-    return float(1.0 + np.linalg.eigvalsh(root.T @ second @ root)[0]) if root.shape[1] else 1.0

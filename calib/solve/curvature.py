@@ -1,0 +1,74 @@
+"""The smallest curvature of the objective in the metric of the Gauss-Newton matrix, by directions instead of a Hessian.
+
+Lanczos steps with the exact second derivatives along one direction at a time. From a random start, after k steps the
+extreme value found differs from the true one by more than a part e of the whole range of values with a probability of
+at most 1.648 sqrt(p) exp(-sqrt(e) (2 k - 1)). Source: Kuczynski and Wozniakowski (1992), SIAM Journal on Matrix
+Analysis and Applications 13(4), theorem 4.2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from calib.blocks import Array, Block
+from calib.elimination import Factor
+from calib.layout import Layout
+
+DOUBT = 1e-9  # probability at most that a direction of downward curvature stays unseen
+KNOWN = 1e-3  # to which the smallest curvature is wanted, where it is not small
+STEPS = 200
+
+
+def pulled(blocks: Sequence[Block], forces: Sequence[Array], layout: Layout) -> Array:
+    """J' times whitened numbers (m, d) of each block, over the free columns (p,)."""
+    total = np.zeros(layout.size)
+    for block, force in zip(blocks, forces, strict=True):
+        for part in block.parts:
+            pull = (part.jacobian * force[:, :, None]).sum(axis=1)
+            total += np.bincount(part.columns.ravel(), pull.ravel(), layout.size)
+    return total[layout.free_columns]
+
+
+def smallest_curvature(
+    bend: Callable[[Array], Array], blocks: Sequence[Block], layout: Layout, factor: Factor
+) -> float:
+    """Smallest eigenvalue of the exact Hessian of half v'Pv in the metric of the Gauss-Newton matrix: 1 where straight.
+
+    bend: what the Hessian adds to the Gauss-Newton matrix, times a step (p,); blocks, layout, factor: of that matrix.
+    Not a number where second derivatives are not finite.
+    """
+    generator = np.random.default_rng(0)
+    # A random step whose size in units of u is alike in all directions: it answers random readings.
+    force = pulled(blocks, [generator.standard_normal(b.residual.shape) for b in blocks], layout)
+    step = factor.solve(force[:, None])[:, 0]
+    length = math.sqrt(max(float(force @ step), 0.0))
+    if not length > 0.0:
+        return 1.0
+    # Force and step are the two faces of a direction: step = covariance force, so that force'step is its length.
+    forces, steps = [force / length], [step / length]
+    diagonal: list[float] = []
+    beside: list[float] = []
+    for k in range(1, min(factor.rank, STEPS) + 1):
+        force = bend(steps[-1])
+        if not np.isfinite(force).all():
+            return math.nan
+        diagonal.append(float(steps[-1] @ force))
+        for _ in range(2):  # twice, for directions that are orthogonal to rounding
+            force = force - np.column_stack(forces) @ (np.column_stack(steps).T @ force)
+        step = factor.solve(force[:, None])[:, 0]
+        length = math.sqrt(max(float(force @ step), 0.0))
+        values, axes = np.linalg.eigh(np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1))
+        smallest, reach = 1.0 + float(values[0]), float(max(values[-1], 0.0) - min(values[0], 0.0))
+        if k == factor.rank or length <= 1e-12 * max(reach, 1e-300):
+            break
+        unseen = (math.log(1.648 * math.sqrt(factor.rank) / DOUBT) / (2 * k - 1)) ** 2
+        near = length * abs(float(axes[-1, 0])) <= KNOWN * max(abs(smallest), KNOWN)
+        if near and (smallest <= 0.0 or (unseen < 0.5 and smallest > unseen * reach / (1.0 - 2.0 * unseen))):
+            break
+        beside.append(length)
+        forces.append(force / length)
+        steps.append(step / length)
+    return smallest
