@@ -84,7 +84,8 @@ def with_candidates(problem: Problem) -> Problem:
     read = [o for o in problem.observations if not o.is_prior]
     blocks = sorted({int(b) for o in read for b in o.covariates.get("block", ())})[1:]
     stations = {str(key) for o in read for key in np.unique(o.covariates.get("station", ()))}
-    found = [*effects(blocks), *station_effects(problem, blocks)]
+    surveyed = [o.group for o in read if not {"tracker_point", "displacement"} & set(o.slots)]
+    found = [*(replace(effect, groups=surveyed) for effect in effects(blocks)), *station_effects(problem, blocks)]
     if len(stations) > ASKED_ONE_BY_ONE:
         found = [effect for effect in found if effect.per is None]
     return problem.with_effects(*problem.acting(found))
