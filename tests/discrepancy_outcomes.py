@@ -54,7 +54,7 @@ def outcome(case: Case, level: float = 0.01, gap: bool = True) -> Outcome:
         ideal = _power(scene, case, places, level)
         if exact:
             values = {places[key]: value for key, value in case.effects.items()}
-            sets = aliases(scene.field, list(values), values, scene.columns, estimated=False)
+            sets = aliases(scene.field, list(values), values, scene.columns, scene.positive, estimated=False)
             theirs = {(scene.chosen[one].effect.name, scene.chosen[one].channel):
                       {(scene.chosen[o].effect.name, scene.chosen[o].channel) for o in others}
                       for one, others in sets.items()}

@@ -13,6 +13,8 @@ from calib.blocks import Array
 from calib.linearisation import Linearisation
 
 RAISES = 4.0  # expected rise of the sum of squares up to which another effect is an alias
+PROPORTIONAL = 1e-9  # distance from it up to which two columns are proportional
+RAISED = 2.0  # rise in these very readings up to which they leave open which of two it is
 
 
 @dataclass(frozen=True)
@@ -27,13 +29,19 @@ class Hidden:
 
 
 def aliases(
-    field: Field, chosen: Sequence[int], values: dict[int, Array], columns: Sequence[Array], estimated: bool = True
+    field: Field,
+    chosen: Sequence[int],
+    values: dict[int, Array],
+    columns: Sequence[Array],
+    positive: frozenset[int] = frozenset(),
+    estimated: bool = True,
 ) -> dict[int, list[int]]:
     """For each chosen candidate the others that could stand in its place.
 
     field: nominal field; chosen: places of the chosen candidates; values: their parameters (k,) SI; columns: of all
-    candidates (n, k) over all whitened rows; estimated: whether the values are estimates or true. A stand-in raises the
-    sum of squares by an expected 4 or less.
+    candidates (n, k) over all whitened rows; positive: places of those whose one parameter cannot be negative;
+    estimated: whether the values are estimates or true. A stand-in raises the sum of squares by an expected 4 or less,
+    or did raise it by so little that these readings do not choose between the two.
     """
     found: dict[int, list[int]] = {}
     for one in chosen:
@@ -50,11 +58,16 @@ def aliases(
         for other in range(len(columns)):
             if other in chosen or not field.frames[other].shape[1]:
                 continue
-            stand_in = orthonormal(bare.outside(columns[other]), field.sizes[other])
+            seen = bare.outside(columns[other])
+            if other in positive and seen[:, 0] @ signal <= 0:
+                continue
+            stand_in = orthonormal(seen, field.sizes[other])
             left = signal - stand_in @ (stand_in.T @ signal)
             # The estimate holds noise of its own, one unit for each direction that the other does not share.
             noise = directions.shape[1] - float(np.sum((stand_in.T @ directions) ** 2))
-            if float(left @ left) - estimated * noise <= RAISES:
+            expected = float(left @ left) - estimated * noise
+            raised = float(np.sum((directions.T @ bare.residual) ** 2) - np.sum((stand_in.T @ bare.residual) ** 2))
+            if expected <= RAISES or (estimated and raised <= RAISED):
                 found[one].append(other)
     return found
 
@@ -89,11 +102,14 @@ def hidden(fit: Linearisation, field: Field, candidates: Sequence[Candidate]) ->
     return found
 
 
-def what_would_tell(one: Candidate, others: Sequence[Candidate]) -> str:
-    """A measurement that tells an effect from its aliases, in a sentence."""
+def what_would_tell(one: Candidate, others: Sequence[Candidate], alike: Sequence[bool]) -> str:
+    """A measurement that tells an effect from its aliases, in a sentence.
+
+    alike: of each alias, whether it changes every reading in proportion to the effect.
+    """
     mine = set(one.effect.inputs)
     advice = []
-    for other in others:
+    for other, same in zip(others, alike, strict=True):
         theirs = set(other.effect.inputs)
         only = sorted((mine - theirs) or (theirs - mine))
         if only:
@@ -103,6 +119,16 @@ def what_would_tell(one: Candidate, others: Sequence[Candidate]) -> str:
                 + (f" independently of {' and '.join(w.replace('_', ' ') for w in rest)}" if rest else "")
                 + f" to tell {one.label} from {other.label}"
             )
+        elif same:
+            advice.append(f"no reading of this kind tells {one.label} from {other.label}: measure one of them directly")
         else:
             advice.append(f"read more positions over a wider range to tell {one.label} from {other.label}")
     return "; ".join(dict.fromkeys(advice))
+
+
+def proportional(one: Array, other: Array) -> bool:
+    """Whether two sets of columns (n, k) span the same directions to rounding."""
+    first, second = (orthonormal(c, np.linalg.norm(c, axis=0)) for c in (one, other))
+    if first.shape[1] != second.shape[1] or not first.shape[1]:
+        return False
+    return bool(np.linalg.svd(first.T @ second, compute_uv=False)[-1] > 1 - PROPORTIONAL)

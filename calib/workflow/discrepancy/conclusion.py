@@ -14,7 +14,7 @@ from calib.blocks import Array
 from calib.errors import CalibrationError
 from calib.problem import Problem
 from calib.solve.estimate import Estimate
-from calib.workflow.discrepancy.alias import Hidden, aliases, hidden, what_would_tell
+from calib.workflow.discrepancy.alias import Hidden, aliases, hidden, proportional, what_would_tell
 from calib.workflow.discrepancy.heldout import held_out
 from calib.workflow.discrepancy.noise import NoiseTest, size_test
 from calib.workflow.discrepancy.rivals import Noise
@@ -198,7 +198,7 @@ def _named(
     values: dict[int, Array] = {
         place: after.values[scene.chosen[place].unknown][scene.chosen[place].instance] for place in finding.effects
     }
-    standing_in = aliases(scene.field, finding.effects, values, scene.columns)
+    standing_in = aliases(scene.field, finding.effects, values, scene.columns, scene.positive)
     effects, advice = [], []
     widened = np.sqrt(finding.scale)
     for place, p in zip(finding.effects, finding.p_effects, strict=True):
@@ -212,5 +212,6 @@ def _named(
         same = tuple((o.effect.name, o.channel) for o in others)
         effects.append(NamedEffect(one.effect.name, one.channel, parameters, p, same, plausibility(one, values[place])))
         if others:
-            advice.append(what_would_tell(one, others))
+            alike = [proportional(scene.columns[place], scene.columns[o]) for o in standing_in[place]]
+            advice.append(what_would_tell(one, others, alike))
     return tuple(effects), "; ".join(advice)

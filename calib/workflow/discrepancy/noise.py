@@ -3,18 +3,22 @@ reading."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.analyse.score import Field
 from calib.blocks import Array
+from calib.workflow.discrepancy.looks import effective_looks
 from calib.workflow.discrepancy.readings import Channel
 
 DRAWS = 300  # simulated residuals from which mean and spread of every figure are taken
-FEW = 12
+FEW = 12  # different values up to which a covariate is taken part by part
+FEWEST = 8  # readings from which their tails and their memory can be judged
+BARELY = 0.02  # redundancy below which a residual shows nothing of its reading
+SHAPES = np.array([2.5, 3.0, 4.0, 6.0])  # degrees of freedom of Student's t, from violent to mild
+SIZES = np.exp(np.linspace(-1.2, 1.6, 12))  # of its scale over the stated standard uncertainty
 
 
 @dataclass(frozen=True)
@@ -39,98 +43,112 @@ def size_test(field: Field) -> NoiseTest:
     )
 
 
-def noise_tests(field: Field, channels: Sequence[Channel], scale: float, seed: int) -> list[NoiseTest]:
-    """Looks at uneven size, heavy tails and serial correlation of what is left, each against simulated residuals.
+def upper_tail(field: Field) -> float:
+    """Probability of residuals as large as these under the stated noise."""
+    from scipy.special import gammaincc
 
-    field: residuals after everything found is taken; scale: variance of the noise; seed: of the simulation.
+    return float(gammaincc(field.dof / 2, field.squares / 2)) if field.dof else 1.0
+
+
+def tail_test(field: Field) -> NoiseTest:
+    """Likelihood of Student's t, averaged over sizes and shapes, against the stated normal one.
+
+    Under the stated noise such a ratio exceeds 1/p with a probability of p at most (Markov; Ville 1939).
+    """
+    gain = student(field)[0] if field.dof >= FEWEST else 0.0
+    return NoiseTest("heavy tails", "all readings", gain, float(np.exp(-max(gain, 0.0))))
+
+
+def student(field: Field) -> tuple[float, float, float]:
+    """Logarithm of the mean likelihood over a grid of sizes and shapes of Student's t, less that of the stated noise;
+    shape and size where it is largest."""
+    from scipy.special import gammaln
+
+    standard, weight = standardised(field)
+    constant = gammaln((SHAPES + 1) / 2) - gammaln(SHAPES / 2) - 0.5 * np.log(SHAPES / 2)
+    inside = np.log1p((standard[None, None, :] / SIZES[:, None, None]) ** 2 / SHAPES[None, :, None]).sum(axis=2)
+    logs = len(standard) * (constant - np.log(SIZES)[:, None]) - (SHAPES + 1) / 2 * inside
+    logs = weight * logs + field.squares / 2
+    size, shape = np.unravel_index(np.argmax(logs), logs.shape)
+    top = float(logs[size, shape])
+    return top + float(np.log(np.mean(np.exp(logs - top)))), float(SHAPES[shape]), float(SIZES[size])
+
+
+def standardised(field: Field) -> tuple[Array, float]:
+    """Residuals that can be seen, each of unit variance, and how many independent ones each of them is worth."""
+    seen = field.redundancy > BARELY
+    standard = field.residual[seen] / np.sqrt(field.redundancy[seen])
+    return standard, max(field.dof, 1) / max(len(standard), 1)
+
+
+def noise_tests(field: Field, channels: Sequence[Channel], scale: float, seed: int) -> tuple[list[NoiseTest], float]:
+    """Looks at uneven size and serial correlation of what is left, and how many independent looks they are.
+
+    field: residuals after everything found is taken; scale: variance of the noise; seed: of the simulated residuals
+    that each look is judged against.
     """
     simulated = field.draw(np.random.default_rng(seed), DRAWS)
-    observed = field.residual / np.sqrt(scale)
-    redundancy = np.where(field.redundancy > 1e-6, field.redundancy, np.inf)
-    standard, drawn = observed / np.sqrt(redundancy), simulated / np.sqrt(redundancy)[:, None]
-    tests = [_judge("heavy tails", "all readings", _kurtosis, standard, drawn)]
-    for channel in channels:
-        order = channel.places[channel.order]
-        if len(order) >= 8:
-            tests.append(_judge("serial correlation", channel.name, _lag_one, standard[order], drawn[order]))
-        for name, columns in _uneven(channel):
-            tests.append(
-                _judge(
-                    "uneven size",
-                    f"{channel.name}, {name}",
-                    _slope(columns),
-                    standard[channel.places],
-                    drawn[channel.places],
-                )
-            )
-    runs = [c.places[c.order] for c in channels if len(c.places) >= 4]
-    if len(runs) > 1:
-        tests.append(_judge("serial correlation", "all channels", _pooled(runs), standard, drawn))
-    if len(channels) > 1:
-        whole = np.concatenate([c.places for c in channels])
-        of = np.concatenate([np.full(len(c.places), float(i)) for i, c in enumerate(channels)])
-        for i, channel in enumerate(channels):
-            tests.append(
-                _judge("uneven size", channel.name, _slope((of == i).astype(float)), standard[whole], drawn[whole])
-            )
-    return tests
-
-
-def _judge(what: str, where: str, figure: Callable[[Array], Array], observed: Array, drawn: Array) -> NoiseTest:
+    together = np.concatenate([(field.residual / np.sqrt(scale))[:, None], simulated], axis=1)
+    together /= np.sqrt(np.where(field.redundancy > 1e-6, field.redundancy, np.inf))[:, None]
+    names, figures = [], []
+    for what, where, values in _looks(together, channels):
+        names.append((what, where))
+        figures.append(values)
+    if not figures:
+        return [], 1.0
+    every = np.concatenate(figures)
+    drawn = every[:, 1:]
     from scipy.special import erfc
 
-    value, sample = float(figure(observed[:, None])[0]), figure(drawn)
-    z = (value - sample.mean()) / max(float(sample.std()), 1e-12)
-    return NoiseTest(what, where, value, float(erfc(abs(z) / np.sqrt(2))))
+    z = np.abs(every - drawn.mean(axis=1, keepdims=True)) / np.maximum(drawn.std(axis=1, keepdims=True), 1e-12)
+    p = erfc(z / np.sqrt(2))
+    tests = [NoiseTest(*name, float(figure), float(one)) for name, figure, one in
+             zip(names, every[:, 0], p[:, 0], strict=True)]
+    return tests, effective_looks(p[:, 1:].min(axis=0), len(tests))
 
 
-def _kurtosis(v: Array) -> Array:
-    """Logarithm of the fourth moment over the squared second one: nearly normal under normal noise."""
-    return np.log(np.mean(v**4, axis=0) / np.mean(v**2, axis=0) ** 2)
+def _looks(standard: Array, channels: Sequence[Channel]) -> Iterator[tuple[str, str, Array]]:
+    """What is looked at, where, and its figure (1, draws) for each column of standardised residuals."""
+    # The cube root of a square is nearly normal, so that a few rows and many are judged alike and one blunder is no
+    # uneven size (Wilson and Hilferty 1931).
+    sizes, squares = np.cbrt(standard**2), standard**2
+    products, total = np.zeros((1, standard.shape[1])), np.zeros((1, standard.shape[1]))
+    for channel in channels:
+        order = channel.places[channel.order]
+        if len(order) >= 4:
+            product = np.sum(standard[order[1:]] * standard[order[:-1]], axis=0, keepdims=True)
+            square = np.sum(squares[order], axis=0, keepdims=True)
+            products, total = products + product, total + square
+            if len(order) >= FEWEST:
+                yield "serial correlation", channel.name, product / np.maximum(square, 1e-300)
+        own = sizes[channel.places]
+        mean = np.maximum(own.mean(axis=0, keepdims=True), 1e-300)
+        for name, column in _uneven(channel):
+            centred = (column - column.mean()) / max(float(np.std(column)), 1e-12)
+            yield "uneven size", f"{channel.name}, {name}", centred[None, :] @ own / mean
+    if len(channels) > 1:
+        yield "serial correlation", "all channels", products / np.maximum(total, 1e-300)
+        whole = sizes.sum(axis=0, keepdims=True)
+        for channel in channels:
+            own = sizes[channel.places].sum(axis=0, keepdims=True)
+            yield "uneven size", channel.name, own / np.maximum(whole, 1e-300)
 
 
-def _lag_one(v: Array) -> Array:
-    return np.sum(v[1:] * v[:-1], axis=0) / np.sum(v**2, axis=0)
-
-
-def _pooled(runs: Sequence[NDArray[np.int64]]) -> Callable[[Array], Array]:
-    def figure(v: Array) -> Array:
-        return sum(np.sum(v[run[1:]] * v[run[:-1]], axis=0) for run in runs) / np.sum(v**2, axis=0)
-
-    return figure
-
-
-def _slope(column: Array) -> Callable[[Array], Array]:
-    """How the size of the residuals runs along a centred column, over their mean size.
-
-    The cube root of a square is nearly normal, so that a few rows and many are judged alike and one blunder is no
-    uneven size (Wilson and Hilferty 1931).
-    """
-    centred = (column - column.mean()) / max(float(np.std(column)), 1e-12)
-
-    def figure(v: Array) -> Array:
-        sizes = np.cbrt(v**2)
-        return centred @ sizes / (np.mean(sizes, axis=0) * np.sqrt(len(centred)))
-
-    return figure
-
-
-def _uneven(channel: Channel) -> list[tuple[str, Array]]:
-    found = []
+def _uneven(channel: Channel) -> Iterator[tuple[str, Array]]:
+    """Along what the size of the residuals may run: each part, each covariate, and away from its middle."""
     for covariate, values in channel.covariates.items():
         different = list(dict.fromkeys(values.tolist()))
         if len(different) < 2:
             continue
         if len(different) <= FEW:
-            found += [
-                (f"{covariate} {v}", (values == v).astype(float))
-                for v in different
-                if 4 <= np.sum(values == v) < len(values)
-            ]
+            for value in different:
+                inside = values == value
+                if 4 <= np.sum(inside) < len(values):
+                    yield f"{covariate} {value}", inside.astype(float)
         elif values.dtype.kind in "fiu":
             numbers = values.astype(float)
-            found += [(covariate, numbers), (f"{covariate} away from its middle", np.abs(numbers - np.median(numbers)))]
-    return found
+            yield covariate, numbers
+            yield f"{covariate} away from its middle", np.abs(numbers - np.median(numbers))
 
 
 def lagged(array: Array, channels: Sequence[Channel], correlation: float) -> Array:

@@ -6,18 +6,18 @@ the degrees of freedom for each parameter, and twice the logarithm of the number
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.analyse.score import Field
 from calib.blocks import Array
-from calib.workflow.discrepancy.noise import lagged
+from calib.workflow.discrepancy.noise import BARELY, lagged, standardised, student
 from calib.workflow.discrepancy.readings import Channel
 
 STATED, SCALED, UNEVEN, HEAVY, SERIAL = "as stated", "of another size", "uneven", "heavy-tailed", "serial"
-SHAPES = (2.2, 3.0, 4.0, 6.0, 10.0)  # degrees of freedom of t-distributions that are tried
+STEEPNESS = np.array([-1.2, -0.8, -0.4, 0.4, 0.8, 1.2])  # logarithm of the size of noise at the end of a covariate
 CORRELATIONS = np.concatenate([np.linspace(-0.7, 0.9, 17), [0.95, 0.98]])
 SMALLEST = 4.0  # redundancy of the smallest group of rows whose scatter is estimated
 BOUND = 0.05  # smallest variance that an estimate may take
@@ -46,31 +46,62 @@ def accounts(left: Field, channels: Sequence[Channel]) -> list[Noise]:
     found.append(Noise(SCALED, dof * np.log(variance) + left.squares / variance + price,
                        np.full(n, np.sqrt(variance))))
     if dof >= 8:
-        found += [*_uneven(left, channels, dof), _heavy(left, dof, price), _serial(left, channels, dof, price)]
+        found += [*_uneven(left, channels, dof), _heavy(left), _serial(left, channels, dof, price)]
     return sorted(found, key=lambda one: one.score)
 
 
 def _uneven(left: Field, channels: Sequence[Channel], dof: int) -> Iterator[Noise]:
-    """Another variance for each part of the readings: by channel, by what was recorded, by both."""
-    parts = list(_partitions(channels, len(left.residual)))
-    for name, keys in parts:
-        rows = np.ones(len(left.residual))
-        score, count = 0.0, 0
-        for key in np.unique(keys[keys >= 0]):
-            places = np.flatnonzero(keys == key)
-            seen = float(np.sum(left.redundancy[places]))
-            squares = float(np.sum(left.residual[places] ** 2))
-            if seen < SMALLEST:
-                score += squares
-                continue
+    """Another variance in parts of the readings, in one part or in each, or one that grows along a covariate."""
+    splits, slopes = _different(_partitions(channels, len(left.residual))), list(_slopes(channels, len(left.residual)))
+    choice = 2 * np.log(max(len(splits) + len(slopes), 1))
+    squared = left.residual**2
+    for name, keys in splits:
+        parts = [(key, np.flatnonzero(keys == key)) for key in np.unique(keys[keys >= 0])]
+        parts = [(key, places) for key, places in parts if np.sum(left.redundancy[places]) >= SMALLEST]
+        rows, gains = np.ones(len(squared)), []
+        for _, places in parts:
+            seen, squares = float(np.sum(left.redundancy[places])), float(np.sum(squared[places]))
             variance = max(squares / seen, BOUND)
             rows[places] = np.sqrt(variance)
-            score += seen * np.log(variance) + squares / variance
-            count += 1
-        outside = keys < 0
-        score += float(np.sum(left.residual[outside] ** 2)) + count * np.log(dof) + 2 * np.log(len(parts))
-        if count > 1:
-            yield Noise(UNEVEN, score, rows, where=name)
+            gains.append(squares - seen * np.log(variance) - squares / variance)
+        if len(parts) > 1:
+            yield Noise(UNEVEN, left.squares - sum(gains) + len(parts) * np.log(dof) + choice, rows, where=name)
+        if parts and len(np.unique(keys)) > 1:
+            one = int(np.argmax(gains))
+            alone = np.ones(len(squared))
+            alone[parts[one][1]] = rows[parts[one][1]]
+            price = np.log(dof) + 2 * np.log(len(parts)) + choice
+            yield Noise(UNEVEN, left.squares - gains[one] + price, alone, where=f"one part of {name}")
+    for name, scaled in slopes:
+        grown = np.exp(2 * np.outer(STEEPNESS, scaled))  # variance: the size grows exponentially along a covariate
+        seen, squares = grown**0 @ left.redundancy, (1 / grown) @ squared
+        variance = np.maximum(squares / seen, BOUND)
+        scores = seen * np.log(variance) + np.log(grown) @ left.redundancy + squares / variance
+        best = int(np.argmin(scores))
+        rows = np.sqrt(variance[best] * grown[best])
+        yield Noise(UNEVEN, float(scores[best]) + 2 * np.log(dof) + choice, rows, where=f"growing along {name}")
+
+
+def _different(splits: Iterable[tuple[str, Array]]) -> list[tuple[str, Array]]:
+    """Splits of the rows without those that split alike under another name."""
+    found: dict[bytes, tuple[str, Array]] = {}
+    for name, keys in splits:
+        _, first, places = np.unique(keys, return_index=True, return_inverse=True)
+        found.setdefault((np.argsort(np.argsort(first))[places]).tobytes(), (name, keys))
+    return list(found.values())
+
+
+def _slopes(channels: Sequence[Channel], n: int) -> Iterator[tuple[str, Array]]:
+    """Numbers along which the noise may grow, from -1 to 1 over all readings."""
+    for name in dict.fromkeys(name for channel in channels for name in channel.covariates):
+        values = np.full(n, np.nan)
+        for channel in channels:
+            if name in channel.covariates and channel.covariates[name].dtype.kind in "fiu":
+                values[channel.places] = channel.covariates[name]
+        known = np.isfinite(values)
+        if len(np.unique(values[known])) > 6:
+            middle, half = (values[known].max() + values[known].min()) / 2, np.ptp(values[known]) / 2
+            yield name, np.where(known, (values - middle) / half, 0.0)
 
 
 def _partitions(channels: Sequence[Channel], n: int) -> Iterator[tuple[str, Array]]:
@@ -96,27 +127,14 @@ def _partitions(channels: Sequence[Channel], n: int) -> Iterator[tuple[str, Arra
                 yield f"channels and {name}", np.where(keys >= 0, keys * len(channels) + by_channel, -1)
 
 
-def _heavy(left: Field, dof: int, price: float) -> Noise:
-    """Student's t of free size and shape."""
-    from scipy.special import gammaln
-
-    seen = left.redundancy > 0.02
-    standard = left.residual[seen] / np.sqrt(left.redundancy[seen])
-    weight = dof / max(len(standard), 1)
-    best: tuple[float, float, float] = (np.inf, 1.0, 1.0)
-    for shape in SHAPES:
-        size = max(float(np.median(np.abs(standard))) / 0.75, 0.05)
-        for _ in range(12):  # expectation and maximisation of the size
-            size = np.sqrt(np.mean((shape + 1) * standard**2 / (shape + (standard / size) ** 2)))
-            size = max(size, 0.05)
-        constant = gammaln((shape + 1) / 2) - gammaln(shape / 2) - 0.5 * np.log(shape * np.pi) - np.log(size)
-        logs = constant - (shape + 1) / 2 * np.log1p((standard / size) ** 2 / shape)
-        score = -2 * weight * float(np.sum(logs + 0.5 * np.log(2 * np.pi)))
-        best = min(best, (score, shape, size))
-    score, shape, size = best
+def _heavy(left: Field) -> Noise:
+    """Student's t, its likelihood averaged over sizes and shapes: what is not fitted costs nothing."""
+    gain, shape, size = student(left)
     rows = np.ones(len(left.residual))
+    seen = left.redundancy > BARELY
+    standard, _ = standardised(left)
     rows[seen] = size * np.sqrt((shape + (standard / size) ** 2) / (shape + 1))
-    return Noise(HEAVY, score + 2 * price, rows)
+    return Noise(HEAVY, left.squares - 2 * gain, rows)
 
 
 def _serial(left: Field, channels: Sequence[Channel], dof: int, price: float) -> Noise:

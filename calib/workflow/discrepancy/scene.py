@@ -36,6 +36,12 @@ class Scene:
         """Places of the scalar readings that may be blunders."""
         return np.flatnonzero(row_numbers(self.fit) > 0)
 
+    @cached_property
+    def positive(self) -> frozenset[int]:
+        """Places of the candidates whose one parameter cannot be negative."""
+        return frozenset(i for i, one in enumerate(self.chosen)
+                         if len(one.effect.parameters) == 1 and one.effect.parameters[0].lower == 0.0)
+
     def seen_through(self, rows: Array) -> Field:
         """The field with every row divided by a scale (n,)."""
         return _field(self.derivatives / rows[:, None], self.residual / rows, [c / rows[:, None] for c in self.columns])

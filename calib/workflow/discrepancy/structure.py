@@ -5,17 +5,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.analyse.score import Field
 from calib.blocks import Array
+from calib.workflow.discrepancy.looks import corrected_each, effective_looks, smallest_tails, tails
 from calib.workflow.discrepancy.readings import Channel
-from calib.workflow.discrepancy.search import corrected, tail
 
 HARMONICS = (1, 2, 3, 4, 5, 6)
-WAVES = (1, 2, 3, 4, 5, 6)  # whole waves over the range of a covariate that is no angle
+WAVES = (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)  # waves over the range of a covariate that is no angle
 DEGREES = 5  # of the polynomials over one covariate
 FEW = 12  # different values up to which a covariate is taken level by level
 SPLIT_BY = 6  # different keys up to which a channel is also looked at key by key
@@ -54,29 +56,41 @@ class Place:
 def patterns(channels: Sequence[Channel]) -> list[Pattern]:
     """All descriptions of structure that the recorded covariates allow."""
     found: list[Pattern] = []
+    before: Channel | None = None
+    parts: list[tuple[str, NDArray, list[tuple[str, str, Array]]]] = []
     for channel in channels:
-        for name, inside in _parts(channel):
-            for covariate, values in channel.covariates.items():
-                found += [
-                    Pattern(name, covariate, kind, channel.places[inside], columns)
-                    for kind, columns in _shapes(values[inside], channel.units.get(covariate, "1"))
-                ]
-            found += [
-                Pattern(name, covariates, kind, channel.places[inside], columns)
-                for covariates, kind, columns in _products(channel, inside)
-            ]
+        if before is None or not _alike(before, channel):
+            parts = [(part, inside, list(_kinds(channel, inside))) for part, inside in _parts(channel)]
+        before = channel
+        for part, inside, kinds in parts:
+            places = channel.places[inside]
+            found += [Pattern(channel.name + part, covariate, kind, places, columns)
+                      for covariate, kind, columns in kinds]
     return found
+
+
+def _alike(one: Channel, other: Channel) -> bool:
+    """Whether two components of a group were read together, so that the same patterns serve both."""
+    return one.covariates.keys() == other.covariates.keys() and one.units == other.units and all(
+        np.array_equal(values, other.covariates[name]) for name, values in one.covariates.items())
+
+
+def _kinds(channel: Channel, inside: NDArray) -> Iterator[tuple[str, str, Array]]:
+    for covariate, values in channel.covariates.items():
+        for kind, columns in _shapes(values[inside], channel.units.get(covariate, "1")):
+            yield covariate, kind, columns
+    yield from _products(channel, inside)
 
 
 def _parts(channel: Channel) -> Iterator[tuple[str, NDArray]]:
     """The whole channel, and its readings key by key where a text covariate has a few keys."""
-    yield channel.name, np.arange(len(channel.places))
+    yield "", np.arange(len(channel.places))
     for covariate, values in channel.covariates.items():
         if values.dtype.kind not in "fiub":
             keys = list(dict.fromkeys(values.tolist()))
             if 1 < len(keys) <= SPLIT_BY:
                 for key in keys:
-                    yield f"{channel.name}, {covariate} {key}", np.flatnonzero(values == key)
+                    yield f", {covariate} {key}", np.flatnonzero(values == key)
 
 
 def _shapes(values: NDArray, unit: str) -> Iterator[tuple[str, Array]]:
@@ -108,10 +122,10 @@ def _shapes(values: NDArray, unit: str) -> Iterator[tuple[str, Array]]:
     yield "trend", scaled[:, None]
     yield "curve", (scaled**2)[:, None]
     if unit not in ("rad", "deg"):
-        for order in WAVES:
-            if len(levels) > 3 * order:
-                turns = np.pi * order * scaled
-                yield f"{order} waves over the range", np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        for waves in WAVES:
+            if len(levels) > 3 * waves:
+                turns = np.pi * waves * scaled
+                yield f"{waves:g} waves over the range", np.stack([np.cos(turns), np.sin(turns)], axis=1)
     yield "pieces", (np.digitize(scaled, np.linspace(-1, 1, 9)[1:-1])[:, None] == np.arange(8)).astype(float)
 
 
@@ -147,56 +161,87 @@ class Screen:
 
     def __init__(self, field: Field, shapes: Sequence[Pattern], seed: int, looks: float | None = None):
         self.shapes, self.field = [], field
-        self.roots: list[Array] = []
-        for shape in shapes:
-            columns = shape.columns / np.maximum(np.linalg.norm(shape.columns, axis=0), 1e-300)
-            taken = field.basis[shape.places].T @ columns
-            values, vectors = np.linalg.eigh(columns.T @ columns - taken.T @ taken)
-            seen = values > 1e-6
-            if seen.any():
-                self.shapes.append(shape)
-                self.roots.append(columns @ (vectors[:, seen] / np.sqrt(values[seen])))
-        self.dofs = np.array([r.shape[1] for r in self.roots], dtype=int)
+        self._sheets: list[_Sheet] = []
+        for _, run in groupby(shapes, lambda shape: id(shape.places)):
+            sheet, seen = _sheet(field, list(run))
+            self._sheets += [sheet] if seen else []
+            self.shapes += seen
+        self.dofs = np.concatenate([np.zeros(0, int), *(np.diff(s.ends, prepend=0) for s in self._sheets)])
         self.looks = self._looks(seed) if looks is None else looks
 
     def drops(self, residuals: Array) -> Array:
         """Drop of the sum of squares for each pattern (rows) and each column of residuals (n, count)."""
-        return np.array([np.sum((root.T @ residuals[shape.places]) ** 2, axis=0)
-                         for root, shape in zip(self.roots, self.shapes, strict=True)])
+        found = []
+        for sheet in self._sheets:
+            squared = (sheet.roots.T @ residuals[sheet.places]) ** 2
+            found.append(np.add.reduceat(squared, np.concatenate([[0], sheet.ends[:-1]]), axis=0))
+        return np.concatenate(found) if found else np.zeros((0, residuals.shape[1]))
 
     def _looks(self, seed: int) -> float:
-        from scipy.special import gammaincc
-
         if not self.shapes:
             return 1.0
-        drawn = self.field.draw(np.random.default_rng(seed), DRAWS)
-        smallest = np.min(gammaincc(self.dofs[:, None] / 2, self.drops(drawn) / 2), axis=0)
-        middle = 1 / float(np.mean(-np.log1p(-np.minimum(smallest, 1 - 1e-12))))
-        rare = np.log(0.95) / np.log1p(-max(float(np.quantile(smallest, 0.05)), 1e-12))
-        return float(np.clip(max(middle, rare), 1.0, len(self.shapes)))
+        drops = self.drops(self.field.draw(np.random.default_rng(seed), DRAWS))
+        return effective_looks(smallest_tails(drops, self.dofs), len(self.shapes))
+
+    @cached_property
+    def judged(self) -> tuple[Array, Array]:
+        """Corrected p-value of each pattern, and by how much it lowers a Schwarz criterion."""
+        drops = self.drops(self.field.residual[:, None])[:, 0]
+        left = self.field.dof - self.dofs
+        scale = np.where(left > 0, np.maximum(1.0, (self.field.squares - drops) / np.maximum(left, 1)), 1.0)
+        p = corrected_each(tails(drops, self.dofs, scale, left), self.looks)
+        return p, drops / scale - self.dofs * np.log(max(self.field.dof, 2))
 
     def places(self) -> list[Place]:
         """The patterns as places, most significant first, their p-values corrected for the number of looks."""
-        found: list[tuple[float, float, Place]] = []
         if not self.shapes:
             return []
-        for shape, drop, dof in zip(self.shapes, self.drops(self.field.residual[:, None])[:, 0], self.dofs,
-                                    strict=True):
-            left = self.field.dof - int(dof)
-            scale = max(1.0, (self.field.squares - drop) / left) if left > 0 else 1.0
-            p = corrected(tail(drop, int(dof), scale, left), self.looks)
-            found.append((p, -drop / dof, Place(shape.channel, shape.covariate, shape.kind, p)))
-        return [place for _, _, place in sorted(found, key=lambda f: f[:2])]
+        p, gain = self.judged
+        return [Place(s.channel, s.covariate, s.kind, float(p[i])) for i in np.lexsort((-gain, p))
+                for s in (self.shapes[i],)]
 
-    def best(self) -> tuple[Pattern, Place] | None:
-        """The most significant pattern."""
-        found = self.places()
-        if not found:
+    def best(self, level: float) -> tuple[Pattern, Place] | None:
+        """The significant pattern that says most with fewest parameters; None where none is significant."""
+        if not self.shapes:
             return None
-        one = found[0]
-        pattern = next(s for s in self.shapes if (s.channel, s.covariate, s.kind) ==
-                       (one.channel, one.covariate, one.shape))
-        return pattern, one
+        p, gain = self.judged
+        if p.min() > level:
+            return None
+        one = int(np.argmax(np.where(p <= level, gain, -np.inf)))
+        shape = self.shapes[one]
+        return shape, Place(shape.channel, shape.covariate, shape.kind, float(p[one]))
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """Patterns over the same places: their orthonormal columns side by side, and where each one ends."""
+
+    places: NDArray[np.int64]
+    roots: Array
+    ends: NDArray[np.int64]
+
+
+def _sheet(field: Field, shapes: Sequence[Pattern]) -> tuple[_Sheet, list[Pattern]]:
+    """What of patterns over the same places can be seen outside the basis of a field, and which they are."""
+    places = shapes[0].places
+    together = np.concatenate([s.columns for s in shapes], axis=1)
+    together = together / np.maximum(np.linalg.norm(together, axis=0), 1e-300)
+    taken = field.basis[places].T @ together
+    starts = np.cumsum([0, *(s.columns.shape[1] for s in shapes)])
+    sizes = np.diff(starts)
+    kept: dict[int, Array] = {}
+    for size in np.unique(sizes):
+        which = np.flatnonzero(sizes == size)
+        columns = starts[which][:, None] + np.arange(size)
+        own, lost = together[:, columns].transpose(1, 2, 0), taken[:, columns].transpose(1, 2, 0)
+        values, vectors = np.linalg.eigh(own @ own.transpose(0, 2, 1) - lost @ lost.transpose(0, 2, 1))
+        for i, value, vector in zip(which, values, vectors, strict=True):
+            seen = value > 1e-6
+            if seen.any():
+                kept[int(i)] = together[:, starts[i]:starts[i + 1]] @ (vector[:, seen] / np.sqrt(value[seen]))
+    order = sorted(kept)
+    roots = np.concatenate([kept[i] for i in order], axis=1) if order else np.zeros((len(places), 0))
+    return _Sheet(places, roots, np.cumsum([kept[i].shape[1] for i in order], dtype=int)), [shapes[i] for i in order]
 
 
 def described(
@@ -215,8 +260,8 @@ def described(
         screen = Screen(field, shapes, seed, known) if first is None else first
         first, known = None, screen.looks
         looks = max(looks, len(screen.shapes))
-        best = screen.best()
-        if best is None or best[1].p_value > level:
+        best = screen.best(level)
+        if best is None:
             break
         pattern, place = best
         signal = field.outside(pattern.whole(len(field.residual)))

@@ -1,0 +1,131 @@
+"""Rival accounts of the readings, by effects, blunders, structure and kinds of noise, weighed on one scale."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.analyse.score import Field, orthonormal
+from calib.workflow.discrepancy.looks import corrected
+from calib.workflow.discrepancy.noise import NoiseTest, noise_tests, size_test, tail_test
+from calib.workflow.discrepancy.rivals import HEAVY, SCALED, SERIAL, STATED, UNEVEN, Noise, accounts
+from calib.workflow.discrepancy.scene import Scene
+from calib.workflow.discrepancy.search import Finding, Shares, noise_scale, search
+from calib.workflow.discrepancy.structure import Place, Screen, described
+
+RARE = 6.0  # what a blunder costs beside its choice: readings go wrong less often than noise is misjudged
+WAYS = 3  # in which the noise is looked at: its size, its tails, its evenness and memory
+ADVANTAGE = 6.0  # by which peculiar noise must beat plain noise, and a structure without a name a named effect
+ODD = 8.0  # what it costs to assume noise that is not as stated beside something else: two causes where one may do
+
+
+@dataclass(frozen=True)
+class Account:
+    """One way to see the readings: a finding, patterns beside it, the noise that goes best with both, the score."""
+
+    finding: Finding
+    structure: tuple[Place, ...]
+    noise: Noise
+    score: float
+
+
+def best_account(
+    nominal: Scene, scene: Scene, finding: Finding, screen: Screen, level: float, seed: int, shares: Shares
+) -> Account:
+    """The account of the readings with the best score, among effects, blunders, structure and kinds of noise.
+
+    nominal: nothing added; scene: where the model stands with the finding; screen: of the nominal residuals.
+    """
+    none = nothing(nominal)
+    described_ones = []
+    for where, base, first in ((scene, finding, None), (nominal, none, screen))[0 if finding.effects else 1:]:
+        whole = _with_structure(where, base, screen, level * shares.structure, seed, first)
+        if whole is not None:
+            described_ones.append(whole)
+    if not (finding.effects or finding.blunders or described_ones):
+        # Nothing is significant: what the noise is, is for its own tests.
+        return Account(none, (), Noise(STATED, 0.0, np.ones(len(scene.residual))), 0.0)
+    plain, mine = accounts(none.left, nominal.channels), accounts(finding.left, scene.channels)
+    pool = [Account(none, (), one, one.score) for one in plain] + described_ones
+    if finding.effects or finding.blunders:
+        cost = price_of(scene, finding)
+        pool += [Account(finding, (), one, one.score + cost + (ODD if one.kind == SCALED else 0.0))
+                 for one in mine if one.kind in (STATED, SCALED)]
+    for source in (plain, mine):
+        for noise in source:
+            if noise.kind in (STATED, SCALED) or noise.score > _plainest(source).score - ADVANTAGE:
+                continue
+            again = _search_again(scene, noise, level, seed, shares)
+            if again.effects:
+                score = _score_through(scene, again, noise) + price_of(scene, again) + ODD
+                pool.append(Account(again, (), noise, score))
+            break  # the best account of peculiar noise is enough to judge by
+    best = min(pool, key=lambda a: a.score)
+    with_same = [a for a in pool if a.structure and a.finding is best.finding]
+    if best.finding.effects and with_same and best.noise.kind in (STATED, SCALED):
+        # Structure that stays beside effects is judged on its own evidence: an effect is no answer while it stays.
+        return with_same[0]
+    return best
+
+
+def _plainest(source: Sequence[Noise]) -> Noise:
+    """The better of noise as stated and noise of another size."""
+    return min((one for one in source if one.kind in (STATED, SCALED)), key=lambda one: one.score)
+
+
+def nothing(scene: Scene) -> Finding:
+    """The finding that nothing is missing."""
+    return Finding((), (), (), (), noise_scale(scene.field), replace(scene.field, signals=(), sizes=()))
+
+
+def price_of(scene: Scene, finding: Finding) -> float:
+    """What the parameters and choices of a finding cost."""
+    taken = finding.left.basis.shape[1] - scene.field.basis.shape[1]
+    log_dof = np.log(max(finding.left.dof, 2))
+    candidates = max(len(scene.chosen), 1)
+    both = ADVANTAGE if finding.effects and finding.blunders else 0.0
+    return float(taken * log_dof + 2 * len(finding.effects) * np.log(candidates) + both
+                 + len(finding.blunders) * (2 * np.log(len(scene.readings)) + RARE - log_dof))
+
+
+def _search_again(scene: Scene, noise: Noise, level: float, seed: int, shares: Shares) -> Finding:
+    """The search in rows that the account of the noise makes alike and independent."""
+    field = scene.serial(noise.correlation) if noise.kind == SERIAL else scene.seen_through(noise.rows)
+    return search(field, scene.readings, level, seed, shares, 0, scene.positive)
+
+
+def _score_through(scene: Scene, finding: Finding, noise: Noise) -> float:
+    """Score of the noise that is left when the effects of a finding are taken from the readings as they are."""
+    columns = np.concatenate([scene.field.signals[e] for e in finding.effects], axis=1)
+    sizes = np.concatenate([scene.field.sizes[e] for e in finding.effects])
+    left = replace(scene.field, signals=(), sizes=()).taking(orthonormal(columns, sizes))
+    return next(one.score for one in accounts(left, scene.channels) if one.kind == noise.kind)
+
+
+def _with_structure(
+    scene: Scene, base: Finding, screen: Screen, level: float, seed: int, first: Screen | None
+) -> Account | None:
+    bare: Field = replace(base.left, signals=(), sizes=())
+    found, left, looks = described(bare, screen.shapes, level, seed, first, screen.looks)
+    if not found:
+        return None
+    noise = _plainest(accounts(left, scene.channels))
+    taken = left.basis.shape[1] - bare.basis.shape[1]
+    price = taken * np.log(max(left.dof, 2)) + 2 * len(found) * np.log(max(looks, 2))
+    return Account(base, tuple(found), noise, noise.score + price + price_of(scene, base) + ADVANTAGE)
+
+
+def failed_looks(scene: Scene, best: Account, level: float, seed: int) -> tuple[NoiseTest, ...]:
+    """Looks at the noise that failed at a level."""
+    left, scale = best.finding.left, best.finding.scale
+    if best.noise.kind in (UNEVEN, HEAVY, SERIAL):
+        left = replace(scene.field, signals=(), sizes=()) if not best.finding.effects else left
+    looks, count = noise_tests(left, scene.channels, scale, seed)
+    tests = [(size_test(left), 1.0), (tail_test(left), 1.0), *((one, count) for one in looks)]
+    failed = [one for one, among in tests if corrected(one.p_value, WAYS * among) <= level]
+    size, heavy = tests[0][0], tests[1][0]
+    if heavy in failed and size.p_value < heavy.p_value and best.noise.kind != HEAVY:
+        failed.remove(heavy)  # what is merely larger has larger tails
+    return tuple(sorted(failed, key=lambda t: t.p_value))
