@@ -31,12 +31,11 @@ from calib import (
 from calib.geometry import cross, dot, unit
 from calib.units import arcsec, degree, hour, minute, mm, um
 from instruments import influence, laser_tracker
-from problems import algebraic_circle, circle_formulations
+from problems import algebraic_circle, circle_formulations, measured_points
 from problems.algebraic_circle import SpaceCircle
 
 if TYPE_CHECKING:
     from calib.job import Job
-    from calib.settings import Settings
     from calib.workflow.compare.formulation import Formulation
 
 Array = NDArray[np.float64]
@@ -136,13 +135,7 @@ def from_job(job: Job) -> Problem:
     table = job.table("points")
     points = np.column_stack([table.number(name, "length") for name in ("x", "y", "z")])
     command = table.number("command", "angle") if table.has("command") else None
-    instrument = job.instrument("points")
-    kind = instrument.text("kind", among=("coordinates", "laser_tracker"))
-    if kind == "coordinates":
-        u: Any = instrument.quantity("u", "length")
-    else:
-        polar = laser_tracker.polar_readings(points)
-        u = Gaussian.matrix(laser_tracker.cartesian_covariance(polar, stated_by_tracker(instrument, polar)))
+    u = measured_points.stated(job.instrument("points"), points)
     covariates: dict[str, Any] = {}
     if table.has("time"):
         covariates["time"] = (table.number("time", "time") - table.number("time", "time")[0], "min")
@@ -158,19 +151,6 @@ def formulations(job: Job) -> dict[str, Formulation]:
     """
     table = job.table("points")
     return circle_formulations.formulations(table.number("command", "angle") if table.has("command") else None)
-
-
-def stated_by_tracker(instrument: Settings, polar: Array) -> Array:
-    """Standard uncertainties (n, 3) of polar readings (n, 3) [m, rad, rad] from the settings of a laser tracker.
-
-    instrument: with sigma_range, sigma_azimuth, sigma_zenith, or u = "a + b L" for each coordinate at distance L.
-    """
-    if "u" in instrument:
-        fixed, rate = instrument.uncertainty("u", "length")
-        return laser_tracker.from_coordinate_statement(fixed, rate, coverage_factor=1.0).at(polar)
-    sigma = [instrument.quantity("sigma_range", "length"), instrument.quantity("sigma_azimuth", "angle"),
-             instrument.quantity("sigma_zenith", "angle")]
-    return np.broadcast_to(sigma, polar.shape)
 
 
 def example_points(seed: int) -> tuple[Array, Array]:

@@ -30,7 +30,7 @@ from calib.geometry import cross
 from calib.job import MEASUREMENTS
 from calib.units import arcsec, degree, kelvin_from_celsius, minute, mm, um
 from instruments import laser_tracker
-from problems import algebraic_circle, circle
+from problems import algebraic_circle, measured_points
 from problems.circle import in_plane
 from problems.turntable_effects import table_effects, tracker_effects
 
@@ -196,7 +196,7 @@ def from_job(job: Job) -> Problem:
     command = table.number("command", "angle")
     covariates = _covariates(table, settings)
     stops = consecutive_stops(command, covariates.get("direction")) if positioning else None
-    return declare(command, readings, circle.stated_by_tracker(instrument, readings),
+    return declare(command, readings, measured_points.stated_polar(instrument, readings),
                    table.text("smr") if table.has("smr") else None, axis, stops, covariates, table.row_numbers)
 
 
