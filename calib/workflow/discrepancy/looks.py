@@ -45,5 +45,5 @@ def smallest_tails(drops: Array, dofs: NDArray[np.int64]) -> Array:
 def effective_looks(smallest: Array, at_most: int) -> float:
     """Number of independent looks whose smallest p-value would be as often as small as the simulated ones (draws,)."""
     middle = 1 / float(np.mean(-np.log1p(-np.minimum(smallest, 1 - 1e-12))))
-    rare = np.log(0.95) / np.log1p(-max(float(np.quantile(smallest, 0.05)), 1e-12))
+    rare = np.log(0.95) / np.log1p(-float(np.clip(np.quantile(smallest, 0.05), 1e-12, 1 - 1e-12)))
     return float(np.clip(max(middle, rare), 1.0, max(at_most, 1)))
