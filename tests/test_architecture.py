@@ -17,7 +17,7 @@ ENGINE = [path for path in SOURCES if path.relative_to(ROOT).parts[0] == "calib"
 # Each layer may import itself and what stands before it; the innermost stands first.
 LAYERS = (
     ("calib.errors", "calib.units", "calib.frozen", "calib.blocks"),
-    ("calib.geometry", "calib.uncertainty"),
+    ("calib.geometry", "calib.uncertainty", "calib.scene"),
     ("calib.unknown",),
     ("calib.effect",),
     ("calib.observations",),

@@ -12,6 +12,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(found() is None, reason="no C
 
 VIEWS = ((400, False), (1400, False), (1400, True))      # width in pixels, dark
 COMMANDS = {
+    "network": ("network", "solve"),
     "solve": ("circle", "solve"),
     "montecarlo": ("plumb", "montecarlo", "--trials", 500),
     "discover": ("plumb", "discover"),
@@ -107,3 +108,55 @@ def test_dark_and_light_differ_and_print_is_dark_ink_on_white_with_everything_op
     printed = browser.printed()
     assert printed.startswith(b"%PDF")
     assert len(re.findall(rb"/Type */Page\b", printed)) >= 1
+
+
+PLACES = "[...document.querySelectorAll('.space .place')].map(one => one.getAttribute('transform'))"
+INSIDE = """[...document.querySelectorAll('.space .place')].every(one => {
+  const mine = one.getBoundingClientRect(), all = one.closest('svg').getBoundingClientRect();
+  return mine.left >= all.left && mine.right <= all.right && mine.top >= all.top && mine.bottom <= all.bottom;
+})"""
+DRAWN = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))"
+
+
+@pytest.mark.parametrize("page", ["network"], indirect=True)
+def test_the_drawing_of_space_turns_by_keys_mouse_touch_and_buttons_and_stands_still_without_script(browser, page):
+    browser.open(page, 1400)
+    first = browser.evaluate(PLACES)
+    assert len(first) >= 6
+    assert browser.evaluate(INSIDE)
+
+    def moved(act):
+        before = browser.evaluate(PLACES)
+        act()
+        browser.evaluate(DRAWN)
+        return browser.evaluate(PLACES) != before
+
+    def drag(*kinds):
+        x, y = browser.evaluate("(() => { const svg = document.querySelector('.space svg'); svg.scrollIntoView();"
+                                "const e = svg.getBoundingClientRect(); return [e.left + 200, e.top + 100]; })()")
+        for step, kind in enumerate(kinds):
+            at = {"x": x + 40 * step, "y": y}
+            if kind.startswith("touch"):
+                browser.tell("Input.dispatchTouchEvent", type=kind, touchPoints=[] if kind == "touchEnd" else [at])
+            else:
+                browser.tell("Input.dispatchMouseEvent", type=kind, button="left", buttons=1, clickCount=1, **at)
+
+    browser.evaluate("document.querySelector('.space svg').focus()")
+    for key in ("ArrowLeft", "ArrowUp"):
+        assert moved(lambda key=key: browser.press(key)), key
+    browser.press("Home")
+    browser.evaluate(DRAWN)
+    assert browser.evaluate(PLACES) == first
+    assert moved(lambda: drag("mousePressed", "mouseMoved", "mouseMoved", "mouseReleased"))
+    assert moved(lambda: drag("touchStart", "touchMove", "touchMove", "touchEnd"))
+    for name in ("nearer", "above", "front", "side"):
+        assert moved(lambda name=name: browser.evaluate(f"document.querySelector('.turn [name={name}]').click()")), name
+        assert name == "nearer" or browser.evaluate(INSIDE)
+    assert browser.said == []
+
+    browser.open(page, 1400, script=False)
+    buttons = browser.evaluate("getComputedStyle(document.querySelector('.turn')).display")
+    assert buttons == "none"
+    still = browser.evaluate(PLACES)
+    assert len(still) == len(first)
+    assert browser.evaluate(INSIDE)

@@ -9,6 +9,7 @@ import numpy as np
 
 from calib import files, units
 from calib.report import evidence, numbers
+from calib.report import space as drawing
 from calib.report.provenance import Provenance
 from calib.report.result import unknown_entries
 from calib.report.template import Cell, Grid, render
@@ -52,6 +53,9 @@ def html(solution: Solution, provenance: Provenance) -> str:
         including=_including(solution),
         including_refused=solution.including_refused,
         heldout=_heldout(solution),
+        space=drawing.space(solution.scene),
+        script=drawing.marked(drawing.script()),
+        script_hash=drawing.script_hash(),
         limits=[*solution.estimability.directions, *solution.remarks, *solution.weak, *_unchecked(solution)],
         residual_groups=list(evidence.residual_groups(solution)),
         suspects=evidence.suspects(solution),

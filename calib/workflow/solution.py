@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any
 
@@ -15,10 +15,12 @@ from calib.analyse.components import VarianceComponents, variance_components
 from calib.analyse.covariance import Covariance, covariance
 from calib.analyse.estimability import Estimability, estimability
 from calib.analyse.reliability import Reliability, reliability
+from calib.analyse.shapes import scene
 from calib.errors import CalibrationError, InputError
 from calib.job import Job
 from calib.linearisation import Functions, Linearisation, linearise
 from calib.problem import Problem
+from calib.scene import Scene
 from calib.solve.estimate import Estimate, solve
 from calib.solve.method import Method
 from calib.unknown import Unknown
@@ -56,7 +58,8 @@ class Solution:
     results: the requested quantities with their covariance; results_vc, coverage: the same with estimated variance
     components; u_of: u (SI) of every unknown, (count, freedom), not a number where held; including: the results with
     the excluded rows back in; remarks, advice: sentences of the problem module: what no reading shows, what to adjust;
-    weak: what the readings hardly tell apart; heldout: gaps on readings that were not used.
+    weak: what the readings hardly tell apart; heldout: gaps on readings that were not used; scene: as the problem
+    declares it or as it follows from its unknowns.
     """
 
     job: Job
@@ -80,6 +83,7 @@ class Solution:
     heldout: tuple[HeldOut, ...] = ()
     advice: tuple[str, ...] = ()
     named_by_key: tuple[str, ...] = ()
+    scene: Scene = field(default_factory=lambda: Scene(()))
 
     @property
     def displayed(self) -> list[tuple[str, float | None, float, str]]:
@@ -148,6 +152,7 @@ def solved(job: Job, module: ModuleType, method: Method) -> Solution:
         heldout=tuple(HeldOut(*one) for one in module.heldout(job, estimate)) if hasattr(module, "heldout") else (),
         advice=tuple(module.advice(fit)) if hasattr(module, "advice") else (),
         named_by_key=tuple(getattr(module, "named_by_key", ())),
+        scene=module.scene(job, estimate) if hasattr(module, "scene") else scene(fit),
     )
 
 
