@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from calib import (
     Effect,
+    Estimate,
     Observations,
     Parameter,
     Pose,
@@ -30,11 +31,13 @@ from calib import (
 )
 from calib.job import Job
 from calib.mechanism import observe
+from calib.mechanism.heldout import misses, rms
 from calib.mechanism.loop import leg_length
-from calib.units import mm, mrad, ppm, um
+from calib.units import mm, mrad, ppm, um, urad
 
 accepts = ("problems.hexapod",)
 LEGS = 6
+BLOCKS = 5
 columns = {"poses": {"x, y, z": "place of the target", "qw, qx, qy, qz": "its orientation", "leg1 .. leg6": "encoder "
                                                                                                             "readings"}}
 options = {"u_position, u_orientation": "standard uncertainty of a measured pose, each component", "u_leg": "of a leg "
@@ -127,6 +130,18 @@ def from_job(job: Job) -> Problem:
                    said.quantity("u_leg", "length"), said.quantity("u_joint", "length"),
                    said.quantity("u_zero", "length"),
                    table.row_numbers)
+
+
+def heldout(job: Job, estimate: Estimate) -> list[tuple[str, float, float, str]]:
+    """Poses that were not used, found from the legs alone: hexapod as designed before, identified after.
+
+    Every fifth posture is predicted. Returns (quantity, before, after, unit) of the rms miss in place and turn.
+    """
+    problem, postures = estimate.problem, np.arange(len(job.table("poses")))
+    errors = [problem.select(name).unknown for name in ("base_joint", "platform_joint", "zero")]
+    before, after = misses(problem, "poses", postures % BLOCKS, errors, estimate)
+    return [("rms place residual of a pose not used", rms(before[:, :3]) / um, rms(after[:, :3]) / um, "um"),
+            ("rms turn residual of a pose not used", rms(before[:, 3:]) / urad, rms(after[:, 3:]) / urad, "urad")]
 
 
 TRUTH = {"base_joint": joints()[0] + np.random.default_rng(5).normal(0, 0.5 * mm, (LEGS, 3)),

@@ -9,7 +9,7 @@ Source: ISO 230-1:2012, annex A (location errors); ISO 230-7:2015 (axes of rotat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,13 +21,14 @@ from calib.mechanism import Frame, Mechanism, Rotary, encoder_harmonic, error_mo
 from calib.mechanism.heldout import in_order, misses, postures, rms
 from calib.mechanism.inputs import checked_positions
 from calib.mechanism.relation import crossing
+from calib.mechanism.start import place_of_points
 from calib.units import arcsec, degree, mm, um
 
 accepts = ("problems.three_axis_turntable",)
 AXES = ("C", "A", "B")
 BLOCKS = 6
 LOCATION = ("EY0A (A)", "EB0A (A)", "EX0B (B)", "EZ0B (B)", "EC0B (B)")  # what readings see wherever the tracker stands
-REFLECTORS = np.array([[0.25, 0.0, 0.0], [-0.10, 0.05, 0.22], [-0.12, -0.05, -0.20]])
+REFLECTORS = {"1": (0.25, 0.0, 0.0), "2": (-0.10, 0.05, 0.22), "3": (-0.12, -0.05, -0.20)}
 columns = {"points": {"C, A, B": "commanded angles", "reflector": "name", "x, y, z": "in the tracker's frame"}}
 options = {"u": "standard uncertainty of a coordinate", "free": "further effects to estimate, such as "
                                                                 "[\"encoder_1x_C\"]"}
@@ -51,39 +52,29 @@ def effects() -> tuple[Effect, ...]:
 
 
 def declare(positions: ArrayLike, reflector: Sequence[object] | np.ndarray, points: ArrayLike | None, u: float,
-            world: geometry.Transform,
-            free: Sequence[str] = (), rows: ArrayLike | None = None) -> Problem:
+            world: geometry.Transform, places: Mapping[str, ArrayLike], free: Sequence[str] = (),
+            rows: ArrayLike | None = None) -> Problem:
     """Declare the identification of the turntable.
 
     positions: (n, 3) of C, A, B [rad]; reflector: (n,) names; points: (n, 3) [m] or None to plan; u: standard
-    uncertainty of a coordinate [m]; world: tracker_from_base, roughly; free: further effects; rows: numbers in the data
-    file.
+    uncertainty of a coordinate [m]; world: tracker_from_base, places: {reflector: (3,) on the table [m]}, both roughly;
+    free: further effects; rows: numbers in the data file.
     Returns the problem with the unknowns `tracker_from_base`, `reflector`, the location errors free, and as quantities
     the departures from perpendicular and the distances of C and A, A and B.
     """
     mechanism = turntable()
     positions = checked_positions(mechanism, positions, rows)
-    names = list(dict.fromkeys(str(r) for r in reflector))
+    names = list(places)
     index = np.array([names.index(str(r)) for r in reflector])
-    start = np.zeros((len(names), 3)) if points is None else np.array(
-        [_back(mechanism, world, positions[index == i], np.asarray(points)[index == i]) for i in range(len(names))])
     tracker = Pose("tracker_from_base", world.rotation, world.translation, unit="mm", angle_unit="arcsec")
-    places = Unknown("reflector", start if points is not None else REFLECTORS[:len(names)], "mm", keys=names)
+    where = Unknown("reflector", np.array(list(places.values())), "mm", keys=names)
     observations = Observations(
-        observe.measured_point(mechanism.pose("table")), tracker, positions, places[index], readings=points, u=u,
-        group="points",
-        unit="um", components=("x", "y", "z"), rows=rows,
+        observe.measured_point(mechanism.pose("table")), tracker, positions, where[index], readings=points, u=u,
+        group="points", unit="um", components=("x", "y", "z"), rows=rows,
         covariates={"reflector": np.array(names)[index], **{a: (positions[:, i], "rad") for i, a in enumerate(AXES)}})
     problem = Problem([observations], effects=effects(), name="three-axis turntable")
     problem = problem.free(*(problem.parameters(name) for name in (*LOCATION, *free)))
     return problem.with_quantities(crossing(problem, mechanism, "C", "A"), crossing(problem, mechanism, "A", "B"))
-
-
-def _back(mechanism: Mechanism, world: geometry.Transform, positions: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Mean place of a reflector on the table, by the nominal geometry."""
-    rotations, places = mechanism.poses("table", positions)
-    in_base = world.inverse() @ points
-    return np.mean(np.einsum("nji,nj->ni", rotations, in_base - places), axis=0)
 
 
 def from_job(job: Job) -> Problem:
@@ -93,7 +84,8 @@ def from_job(job: Job) -> Problem:
     points = np.stack([table.number(name, "length") for name in "xyz"], axis=1)
     u, free = job.options.quantity("u", "length"), job.options.texts("free", ())
     reflector = table.text("reflector")
-    return declare(positions, reflector, points, u, rough_place(positions, reflector, points), free, table.row_numbers)
+    world, places = place_of_points(turntable(), "table", positions, reflector, points)
+    return declare(positions, reflector, points, u, world, places, free, table.row_numbers)
 
 
 def _positions(job: Job) -> np.ndarray:
@@ -112,41 +104,13 @@ def heldout(job: Job, estimate: Estimate) -> list[tuple[str, float, float, str]]
     return [("rms miss of a reflector in postures not used", rms(before) / um, rms(after) / um, "um")]
 
 
-def rough_place(positions: np.ndarray, reflector: Sequence[object] | np.ndarray, points: np.ndarray
-                ) -> geometry.Transform:
-    """tracker_from_base from points of at least one reflector, by alternating two linear fits of the nominal
-    geometry."""
-    rotations, _ = turntable().poses("table", positions)
-    names = list(dict.fromkeys(reflector))
-    index = np.array([names.index(r) for r in reflector])
-    # R_t (F b) + t with R_t, t, b unknown: the products R_t (i, j) b_r (k) are linear; their best rank-one part gives
-    # both
-    design = np.zeros((len(points), 3, 3 * 3 * len(names) * 3 + 3))
-    design[:, :, -3:] = np.eye(3)
-    for row, (f, r) in enumerate(zip(rotations, index, strict=True)):
-        block = np.einsum("ab,jk->abjk", np.eye(3), f).reshape(3, 27)  # (component a; i, j, k) of R[i, j] F[j, k] b[k]
-        design[row, :, 27 * r:27 * (r + 1)] = block
-    solution = np.linalg.lstsq(design.reshape(-1, design.shape[2]), points.ravel(), rcond=None)[0]
-    tensor = solution[:-3].reshape(len(names), 9, 3).transpose(1, 0, 2).reshape(9, -1)
-    left, _, _ = np.linalg.svd(tensor, full_matrices=False)
-    best = None
-    for sign in (1.0, -1.0):
-        turn, _, other = np.linalg.svd(sign * left[:, 0].reshape(3, 3))
-        rotation = turn @ np.diag([1, 1, np.linalg.det(turn @ other)]) @ other
-        miss = np.linalg.norm(rotation / np.sqrt(3) - sign * left[:, 0].reshape(3, 3))
-        if best is None or miss < best[0]:
-            best = (miss, rotation)
-    assert best is not None
-    return geometry.Transform(best[1], solution[-3:])
-
-
 def _plan() -> tuple[np.ndarray, list[str]]:
     turns = np.arange(0, 360, 30) * degree
     rest = [0.0, 60 * degree]
     rows = [(t, a, b) for t in turns for a in rest for b in rest[:1]] + [(0.0, t, b) for t in turns for b in rest] + \
         [(c, 0.4, t) for t in turns for c in rest]
     positions = np.repeat(np.array(rows), len(REFLECTORS), axis=0)
-    return positions, [str(i + 1) for _ in rows for i in range(len(REFLECTORS))]
+    return positions, [name for _ in rows for name in REFLECTORS]
 
 
 TRUTH = {"EY0A (A)": 8 * um, "EB0A (A)": 3 * arcsec, "EX0B (B)": -12 * um, "EZ0B (B)": 5 * um, "EC0B (B)": -4 * arcsec}
@@ -156,7 +120,7 @@ def example(seed: int) -> Problem:
     """Three reflectors in 72 postures, simulated with errors of the axes. seed: of the readings."""
     positions, reflector = _plan()
     world = geometry.Transform(geometry.rotation_from_rpy(0.02, -0.01, 1.0), np.array([2.5, 0.4, 0.3]))
-    problem = declare(positions, reflector, None, 5 * um, world, free=("encoder_1x_C",))
+    problem = declare(positions, reflector, None, 5 * um, world, REFLECTORS, free=("encoder_1x_C",))
     truth: dict[str, Any] = {problem.parameters(name).name: [[value]] for name, value in TRUTH.items()}
     truth[problem.parameters("encoder_1x_C").name] = [[2 * arcsec, -3 * arcsec]]
     return simulate(problem, truth, seed)

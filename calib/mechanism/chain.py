@@ -204,12 +204,16 @@ class Mechanism(Frozen):
         positions: (n, axes) [rad or m]; frame, seen_from: as of `pose`.
         """
         rows = np.asarray(positions, float).reshape(-1, len(self.axes))
+        numbers = self._nominal(frame, seen_from)(list(np.ascontiguousarray(rows.T)), len(rows)).T
+        return numbers[:, :9].reshape(-1, 3, 3), numbers[:, 9:]
+
+    @lru_cache(maxsize=256)     # noqa: B019 - compiled once for searches that ask again and again
+    def _nominal(self, frame: str, seen_from: str) -> Program:
         symbols = ca.SX.sym("positions", len(self.axes))
         transform = self.pose(frame, seen_from)(symbols)
         flat = ca.vertcat(ca.vec(ca.SX(ca.DM(transform.rotation) if isinstance(transform.rotation, np.ndarray)
                                        else transform.rotation).T), ca.SX(transform.translation))
-        numbers = Program([symbols], ca.densify(flat))(list(np.ascontiguousarray(rows.T)), len(rows)).T
-        return numbers[:, :9].reshape(-1, 3, 3), numbers[:, 9:]
+        return Program([symbols], ca.densify(flat))
 
     def check_positions(self, positions: ArrayLike, rows: ArrayLike | None = None) -> Array:
         """Positions (n, axes) after a look at them.

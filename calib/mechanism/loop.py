@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,20 @@ def meeting(first: Callable[..., Any], second: Callable[..., Any]) -> Callable[.
     def model(positions: Any, point_on_first: Any, point_on_second: Any, **slots: Any) -> Any:
         ends = [pose(positions, **{k: v for k, v in slots.items() if k in own[id(pose)]}) for pose in (first, second)]
         return ends[0] @ point_on_first - ends[1] @ point_on_second
+    return model
+
+
+@lru_cache(maxsize=256)
+def held_by(pose: Callable[..., Any]) -> Callable[..., Any]:
+    """Model `(body, point_on_body, positions, point_on_frame) -> (3,)` [m]: how far a point of a free body is from one
+    of a branch, in base coordinates.
+
+    pose: of a frame of the branch (`mechanism.pose(frame)`); body: Transform base_from_body. Zero where a ball joint
+    joins them: as a Constraint it closes the loop exactly, as Observations with the uncertainty of the seat.
+    """
+    @hands_slots_to(pose)
+    def model(body: Any, point_on_body: Any, positions: Any, point_on_frame: Any, **slots: Any) -> Any:
+        return body @ point_on_body - pose(positions, **slots) @ point_on_frame
     return model
 
 

@@ -128,6 +128,19 @@ def line_of_sight(pose: Model) -> Model:
     return _named(model, pose, "sight_of")
 
 
+@lru_cache(maxsize=256)
+def encoders(axes: tuple[int, ...]) -> Model:
+    """Model of the encoders of some axes: `(positions) -> (k,)`, for positions that are unknown themselves.
+
+    axes: places of the axes that are read, `mechanism.index(name)`. Passive axes of a loop have none; an encoder that
+    is noisy against the other instruments is read like this, so that its noise is counted. What an encoder does wrong
+    (harmonics, scale) are effects on the position of the axis and act where the pose is used.
+    """
+    def model(positions: Any) -> Any:
+        return vertcat(*(positions[i] for i in axes))
+    return model
+
+
 def angle_between(first: Any, second: Any) -> Any:
     """Angle of two directions (3,) [rad], from sine and cosine so that small ones are exact."""
     cross = geometry.cross(first, second)

@@ -23,6 +23,13 @@ def _lines(mechanism: Mechanism, first: str, second: str) -> tuple[Axis, Axis, n
     return one, other, *(np.asarray(a.reference).T @ np.asarray(a.direction) for a in (one, other))
 
 
+def _asked(problem: Problem, mechanism: Mechanism, first: str, second: str, function: Any, **labels: Any) -> Quantity:
+    """The quantity at reference conditions: all positions at zero, what drives effects (temperature, approach) too."""
+    return quantity(problem, f"{first}_to_{second}", mechanism.pose(second, seen_from=first), function,
+                    Shared(np.zeros(len(mechanism.axes))),
+                    known={name: 0.0 for effect in problem.effects for name in effect.inputs}, **labels)
+
+
 def crossing(problem: Problem, mechanism: Mechanism, first: str, second: str) -> Quantity:
     """Angle and distance of two axes that are not parallel, with the effects of a problem: `FIRST_to_SECOND`.
 
@@ -40,8 +47,7 @@ def crossing(problem: Problem, mechanism: Mechanism, first: str, second: str) ->
         turned = there.turn(second_direction)
         return vertcat(angle_between(direction, turned) - designed,
                        geometry.dot(there.translation, geometry.unit(geometry.cross(direction, turned))))
-    return quantity(problem, f"{first}_to_{second}", mechanism.pose(second, seen_from=first), between,
-                    Shared(np.zeros(len(mechanism.axes))), unit=["arcsec", "um"], parts=("angle", "distance"))
+    return _asked(problem, mechanism, first, second, between, unit=["arcsec", "um"], parts=("angle", "distance"))
 
 
 def parallelism(problem: Problem, mechanism: Mechanism, first: str, second: str) -> Quantity:
@@ -67,6 +73,5 @@ def parallelism(problem: Problem, mechanism: Mechanism, first: str, second: str)
         moved = there.translation - height * turned - designed
         return vertcat(*(tilt[i] for i in across), *(moved[i] for i in across))
     names = ["XYZ"[i] for i in across]
-    return quantity(problem, f"{first}_to_{second}", mechanism.pose(second, seen_from=first), between,
-                    Shared(np.zeros(len(mechanism.axes))), unit=["arcsec", "arcsec", "um", "um"],
-                    parts=tuple([f"tilt_{n}" for n in names] + [f"place_{n}" for n in names]))
+    return _asked(problem, mechanism, first, second, between, unit=["arcsec", "arcsec", "um", "um"],
+                  parts=tuple([f"tilt_{n}" for n in names] + [f"place_{n}" for n in names]))

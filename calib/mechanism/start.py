@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -9,6 +11,7 @@ from calib import geometry
 from calib.errors import InputError
 from calib.geometry import Transform
 from calib.mechanism.axis import Array
+from calib.mechanism.chain import Mechanism
 
 
 def nearest_rotation(matrix: Array) -> Array:
@@ -58,6 +61,50 @@ def world_and_target(rotations: ArrayLike, translations: ArrayLike, frame_rotati
     design = np.concatenate([world_turn @ frames, np.broadcast_to(identity, frames.shape)], axis=2).reshape(-1, 6)
     shift = np.linalg.lstsq(design, (measured - moved @ world_turn.T).ravel(), rcond=None)[0]
     return Transform(world_turn, shift[3:]), Transform(target_turn, shift[:3])
+
+
+def place_of_points(mechanism: Mechanism, frame: str, positions: ArrayLike, names: Sequence[object] | Array,
+                    points: ArrayLike) -> tuple[Transform, dict[str, Array]]:
+    """Where a mechanism stands and where points sit on a frame of it, from measured points, by the nominal geometry.
+
+    positions: (n, axes), names: (n,) of the points, points: (n, 3) as measured [m]. Returns world_from_base and
+    {name: (3,) in the frame} [m].
+    The products of an entry of the rotation with a coordinate of a point are found linearly, the rotation as their best
+    factor; no start is needed.
+    """
+    measured, keys = np.asarray(points, float), [str(n) for n in names]
+    known = list(dict.fromkeys(keys))
+    rotations, origins = mechanism.poses(frame, positions)
+    index = np.array([known.index(key) for key in keys])
+    # point = R (F b + p) + t is linear in R[i, j] b[k] for each point b, in R[i, j] alone, and in t
+    design = np.zeros((len(measured), 3, 27 * len(known) + 12))
+    for row, turned in enumerate(rotations):
+        design[row, :, 27 * index[row]:27 * (index[row] + 1)] = np.kron(np.eye(3), turned.reshape(1, 9)).reshape(3, 27)
+    design[:, :, -12:-3] = np.einsum("ab,nj->nabj", np.eye(3), origins).reshape(-1, 3, 9)
+    design[:, :, -3:] = np.eye(3)
+    solution = np.linalg.lstsq(design.reshape(-1, design.shape[2]), measured.ravel(), rcond=None)[0]
+    products = np.concatenate([solution[:-12].reshape(len(known), 9, 3).transpose(1, 0, 2).reshape(9, -1),
+                               solution[-12:-3, None]], axis=1)
+    factor = np.linalg.svd(products, full_matrices=False)[0][:, 0].reshape(3, 3)
+    turn = nearest_rotation(np.sign(np.linalg.det(factor)) * factor)
+    fixed = np.zeros((len(measured), 3, 3 * len(known) + 3))
+    for row, turned in enumerate(turn @ rotations):
+        fixed[row, :, 3 * index[row]:3 * (index[row] + 1)] = turned
+    fixed[:, :, -3:] = np.eye(3)
+    places = np.linalg.lstsq(fixed.reshape(-1, fixed.shape[2]), (measured - origins @ turn.T).ravel(), rcond=None)[0]
+    return Transform(turn, places[-3:]), dict(zip(known, places[:-3].reshape(-1, 3), strict=True))
+
+
+def places_on(mechanism: Mechanism, frame: str, positions: ArrayLike, names: Sequence[object] | Array,
+              points: ArrayLike, world: Transform) -> dict[str, Array]:
+    """Where measured points sit on a frame, {name: mean (3,) [m]}, if the mechanism stands at world_from_base.
+
+    Other arguments as of `place_of_points`.
+    """
+    keys = np.array([str(n) for n in names])
+    rotations, origins = mechanism.poses(frame, positions)
+    local = np.einsum("nji,nj->ni", rotations, world.inverse() @ np.asarray(points, float) - origins)
+    return {str(key): local[keys == key].mean(axis=0) for key in dict.fromkeys(keys)}
 
 
 def misfit(rotations: ArrayLike, translations: ArrayLike, frame_rotations: ArrayLike,
