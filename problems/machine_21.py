@@ -20,8 +20,10 @@ from calib.job import Job
 from calib.mechanism import Frame, Linear, Mechanism, error_motions, location_errors, observe
 from calib.mechanism.heldout import misses, postures, rms
 from calib.mechanism.inputs import checked_positions
+from calib.mechanism.scene import measured
 from calib.mechanism.start import nearest_motion
 from calib.mechanism.tolerance import tolerances
+from calib.scene import Scene
 from calib.units import mm, um
 
 accepts = ("problems.machine_21",)
@@ -149,3 +151,13 @@ file = "offsets.csv"
 u = "1 um"
 """
     return {"job.toml": job, "points.csv": "\n".join(lines) + "\n", "offsets.csv": "\n".join(mounted) + "\n"}
+
+
+def scene(job: Job, estimate: Estimate) -> Scene:
+    """The axes, the reflectors with their uncertainty, the places they were measured at and the tracker."""
+    table, problem = job.table("points"), estimate.problem
+    reflector, tracker = (problem.select(name).unknown for name in ("reflector", "tracker_from_base"))
+    index = [reflector.keys.index(name) for name in table.text("reflector")]
+    positions = np.stack([table.number(name, "length") for name in "XYZ"], axis=1)
+    return measured(machine(), estimate.fit, "spindle", positions, np.asarray(estimate[reflector])[index], tracker,
+                    reflector)

@@ -52,7 +52,9 @@ from calib.mechanism import (
 from calib.mechanism.inputs import checked_positions, other_quaternion_order
 from calib.mechanism.read import data_path, measured_poses
 from calib.mechanism.resolved import quantity
+from calib.mechanism.scene import measured
 from calib.mechanism.start import misfit, world_and_target
+from calib.scene import Scene
 from calib.units import degree, mm, mrad
 
 accepts = ("problems.positioner",)
@@ -305,3 +307,11 @@ free = ["scale_A"]
 def _axis_and_angle(vector: np.ndarray) -> tuple[np.ndarray, float]:
     angle = float(np.linalg.norm(vector))
     return vector / angle, angle
+
+
+def scene(job: Job, estimate: Estimate) -> Scene:
+    """The axes as designed, the target in every measured pose and the instrument."""
+    positions, _, _, _ = _read(job)
+    table, instrument = (estimate.problem.select(name).unknown for name in ("table_from_target",
+                                                                            "instrument_from_base"))
+    return measured(positioner(), estimate.fit, "table", positions, np.ravel(estimate[table].translation), instrument)

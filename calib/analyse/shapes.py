@@ -40,7 +40,7 @@ def is_place(unknown: Unknown) -> bool:
 
 
 def points_of(fit: Linearisation, unknown: Unknown) -> Points:
-    """An unknown as points with their covariance; without z they stand at height zero.
+    """An unknown as points with their covariance; without z they stand at height zero, those nowhere are left out.
 
     fit: a linearisation; unknown: of it, a point or several.
     return: the points.
@@ -52,7 +52,9 @@ def points_of(fit: Linearisation, unknown: Unknown) -> Points:
     free = np.asarray(fit.layout.free[fit.layout.span(unknown)]).reshape(unknown.count, -1)[:, :dim]
     for instance in np.flatnonzero(free.any(axis=1))[:WITH_ELLIPSOID]:
         spread[instance, :dim, :dim] = covariance(fit, unknown[int(instance)]).matrix[:dim, :dim]
-    return Points(unknown.name, places, keys, spread)
+    # A point of which only the height counts has no place in plan.
+    there = np.flatnonzero(np.isfinite(places).all(axis=1))
+    return Points(unknown.name, places[there], [keys[i] for i in there], spread[there])
 
 
 def stations_of(fit: Linearisation, pose: Unknown) -> Points:
@@ -63,8 +65,9 @@ def stations_of(fit: Linearisation, pose: Unknown) -> Points:
     """
     shown: Any = pose.show(fit.values[pose])
     places = [one.inverse().translation for one in (shown if isinstance(shown, Sequence) else [shown])]
-    keys = pose.keys if pose.count > 1 or pose.named_keys else (pose.name.split("_from_")[0].replace("_", " "),)
-    return Points(pose.name, np.array([np.ravel(place) for place in places], float), keys)
+    name = pose.name.split("_from_")[0].replace("_", " ")
+    keys = pose.keys if pose.count > 1 or pose.named_keys else (name,)
+    return Points(name, np.array([np.ravel(place) for place in places], float), keys)
 
 
 def sights(fit: Linearisation, points: Sequence[Points]) -> Iterator[Sights]:

@@ -20,6 +20,7 @@ from calib.scene import Axes, Points, Scene, Shape, Sights, Track
 Array = NDArray[np.float64]
 WIDTH, HEIGHT = 720, 480        # of the still drawing; with script it fills its column
 VIEW, ABOVE = (-55.0, 22.0), (-90.0, 90.0)     # azimuth and elevation of the eye at first [degrees]
+AXIS = 0.7                      # half length of a drawn axis, in radii of the scene
 LABELLED = 40                   # names that can be read in one drawing
 DRAWN = 1500                    # points or lines of one shape
 LONGEST = 24                    # characters of a name
@@ -169,8 +170,8 @@ def _items(shape: Shape, centre: Array, radius: float, larger: float, colour: st
         yield _line(np.concatenate([places, places[:1]]) if shape.closed else places, f"track {colour}")
     elif isinstance(shape, Axes):
         for through, direction, key in zip(normal(shape.through), shape.directions, shape.keys):
-            yield _line(np.stack([through - 1.1 * direction, through + 1.1 * direction]), f"axis {colour}", shape.name)
-            yield _mark(through + 1.1 * direction, f"end {colour}", key, shape.name)
+            yield _line(np.stack([through - AXIS * direction, through + AXIS * direction]), f"axis {colour}", shape.name)
+            yield _mark(through + AXIS * direction, f"end {colour}", key, shape.name)
     else:
         yield from _points(shape, normal(shape.places), radius, larger, colour)
 
