@@ -21,6 +21,7 @@ from calib.solve.globally import rotation as alignment
 from calib.units import arcsec, hour, minute, mm, ppm, um
 from instruments import influence, laser_tracker
 from problems import measured_points
+from problems.recorded import recorded
 
 if TYPE_CHECKING:
     from calib import Estimate
@@ -227,17 +228,8 @@ def from_job(job: Job) -> Problem:
     Options: u_points of the coordinates on the part (0), reference_temperature (20 degC).
     """
     common, seen = Common.read(job), job.table("seen")
-    covariates: dict[str, Any] = {}
-    if seen.has("time"):
-        time = seen.number("time", "time")
-        covariates["time"] = (time - time[0], "min")
-    if seen.has("temp"):
-        reference = job.options.quantity("reference_temperature", "temperature", 293.15)
-        covariates["temperature_difference"] = (seen.number("temp", "temperature") - reference, "K")
-    if seen.has("block"):
-        covariates["block"] = seen.whole("block")
     return declare(common.points, common.seen, common.covariance, common.u_points, common.names, common.targets,
-                   covariates, seen.row_numbers)
+                   recorded(job, seen), seen.row_numbers)
 
 
 PART = np.array([[x, y, z] for x in (0.0, 0.6, 1.2) for y in (0.0, 0.8) for z in (0.0, 0.5)])

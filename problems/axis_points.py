@@ -25,6 +25,7 @@ from calib.job import Job
 from calib.table import Table
 from calib.units import arcsec, degree, minute, mm, um
 from instruments import theodolite
+from problems.recorded import recorded
 
 accepts = ("problems.axis_points", "theodolite_target")
 source = "Ren, Gao, Zhao (2015), J. Harbin Inst. Tech. 47(10), eq (4)-(7)"
@@ -261,28 +262,17 @@ def _from_job(job: Job, shared: Collection[str] | None) -> Problem:
             np.stack([data.number("H", "angle"), data.number("V", "angle")], axis=1), list(data.text("target")),
             data.number("angle", "angle"), distance=distance, elevation=elevation,
             u=[instrument.quantity(f"{stated}_{circle}", "angle") for circle in "HV"], face=_faces(data), shared=shared,
-            u_distance=u_distance, covariates=_covariates(job, data), rows=data.row_numbers))
+            u_distance=u_distance, covariates=recorded(job, data), rows=data.row_numbers))
     if "filaments" in job.tables:
         data = job.table("filaments")
         parts.append(declare_filaments(
             data.number("H", "angle"), list(data.text("target")), data.number("angle", "angle"), distance=distance,
             u=job.instrument("filaments").quantity("u_H", "angle"), face=_faces(data),
-            covariates=_covariates(job, data), rows=data.row_numbers))
+            covariates=recorded(job, data), rows=data.row_numbers))
     problem = Problem([o for part in parts for o in part.observations], name="axis points",
                       quantities=[q for part in parts for q in part.quantities])
     blocks = sorted({int(b) for o in problem.observations for b in o.covariates.get("block", [])})[1:]
     return problem.with_effects(*_usable(effects(blocks), problem))
-
-
-def _covariates(job: Job, data: Table) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    if data.has("time"):
-        time = data.number("time", "time")
-        found["time"] = (time - time[0], "s")
-    if data.has("temp"):
-        reference = job.known.quantity("reference_temperature", "temperature", 293.15)
-        found["temperature_difference"] = (data.number("temp", "temperature") - reference, "K")
-    return found | {name: data.whole(name) for name in ("direction", "block", "sweep") if data.has(name)}
 
 
 def _faces(data: Table) -> np.ndarray:

@@ -13,6 +13,7 @@ from calib.errors import InputError
 from calib.job import Job
 from calib.table import Table
 from problems.algebraic_base_point import Span
+from problems.recorded import recorded
 
 Array = NDArray[np.float64]
 AXES = ("x", "y", "z")
@@ -85,15 +86,9 @@ def of_job(job: Job) -> Lines:
     fixed, rate = job.instrument("lines").uncertainty("u", "length")
     along = _travelled(points, table.text("line")) if table.has("line") else np.zeros_like(points)
     covariates: dict[str, Any] = {name: table.text(name) for name in ("line", "tracker") if table.has(name)}
-    if table.has("block"):
-        covariates["block"] = table.whole("block")
-    if table.has("time"):
-        covariates["time"] = (table.number("time", "time"), "s")
-    if table.has("direction"):
-        covariates.update(directions(table.whole("direction"), along))
-    if table.has("temperature"):
-        reference = job.known.quantity("reference_temperature", "temperature", 293.15)
-        covariates["temperature_difference"] = (table.number("temperature", "temperature") - reference, "K")
+    covariates |= recorded(job, table)
+    if "direction" in covariates:
+        covariates |= directions(covariates.pop("direction"), along)
     line_instrument = job.options.text("line_instrument", None)
     u_coordinate, _ = (job.instruments.table(line_instrument).uncertainty("u", "length") if line_instrument
                        else (0.0, 0.0))
@@ -121,13 +116,10 @@ def of_case(job: Job) -> Lines:
         values = {name: one.quantity(key, "length") for name, one in described.items()}
         return np.array([values[name] for name in line])
 
-    along, direction = np.array([axis[name] for name in line]), table.whole("direction")
-    reference = known.quantity("reference_temperature", "temperature")
+    along = np.array([axis[name] for name in line])
     covariates = {
-        "line": line, "split": table.text("split"), "sweep": table.whole("sweep"), "block": table.whole("block"),
-        "direction": direction, **directions(direction, along), "time": (table.number("time_min", "time"), "s"),
-        "temperature_difference": (table.number("temp_C", "temperature") - reference, "K"),
-        "abbe_x": (of_line("abbe_x"), "m"), "abbe_y": (of_line("abbe_y"), "m")}
+        **recorded(job, table), **directions(table.whole("direction"), along), "line": line,
+        "split": table.text("split"), "abbe_x": (of_line("abbe_x"), "m"), "abbe_y": (of_line("abbe_y"), "m")}
     return Lines(coordinates(table), table.number("d", "length"), of_line("sigma_d"), along, of_line("sigma_axis"),
                  velocity=along * table.number("speed_mm_s", "length/time")[:, None], rows=table.whole("row"),
                  zeroing=[name if kind[name] == "fine" else "long" for name in line], covariates=covariates)

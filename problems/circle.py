@@ -33,6 +33,7 @@ from calib.units import arcsec, degree, hour, minute, mm, um
 from instruments import influence, laser_tracker
 from problems import algebraic_circle, circle_formulations, measured_points
 from problems.algebraic_circle import SpaceCircle
+from problems.recorded import recorded
 
 if TYPE_CHECKING:
     from calib.job import Job
@@ -136,12 +137,7 @@ def from_job(job: Job) -> Problem:
     points = np.column_stack([table.number(name, "length") for name in ("x", "y", "z")])
     command = table.number("command", "angle") if table.has("command") else None
     u = measured_points.stated(job.instrument("points"), points)
-    covariates: dict[str, Any] = {}
-    if table.has("time"):
-        covariates["time"] = (table.number("time", "time") - table.number("time", "time")[0], "min")
-    if table.has("block"):
-        covariates["block"] = table.whole("block")
-    return declare(points, u, command, rows=table.row_numbers, covariates=covariates)
+    return declare(points, u, command, rows=table.row_numbers, covariates=recorded(job, table))
 
 
 def formulations(job: Job) -> dict[str, Formulation]:

@@ -24,6 +24,7 @@ from calib.errors import InputError
 from calib.job import Job
 from calib.units import arcsec, degree, hour, minute
 from instruments import level
+from problems.recorded import recorded
 
 accepts = ("problems.plumb", "level_plumb")
 SOURCE = "FORMAT of the discrepancy cases; axis tilt error motion: ISO 230-7:2015, 3.2"
@@ -125,15 +126,7 @@ def from_job(job: Job) -> Problem:
     instrument = job.instruments.table("level") if case else job.instrument("level")
     u = instrument.quantity("sigma", "angle") if case else instrument.uncertainty("u", "angle")[0]
     angle = data.number("angle", "angle")
-    covariates: dict[str, Any] = {}
-    if data.has("time"):
-        covariates["time"] = (data.number("time", "time"), "s")
-    if data.has("temp"):
-        reference = job.known.quantity("reference_temperature", "temperature", 293.15)
-        covariates["temperature_difference"] = (data.number("temp", "temperature") - reference, "K")
-    for name in ("direction", "block", "sweep", "setup"):
-        if data.has(name):
-            covariates[name] = data.whole(name)
+    covariates = recorded(job, data)
     problem = declare(
         angle,
         data.number("reading", "angle"),

@@ -19,6 +19,7 @@ from calib import Gaussian, Observations, Problem, Unknown, simulate
 from calib.errors import InputError
 from calib.units import arcsec, minute
 from instruments.autocollimator import closure, effects, polygon_face
+from problems.recorded import recorded
 
 if TYPE_CHECKING:
     from calib.job import Job
@@ -109,15 +110,9 @@ def from_job(job: Job) -> Problem:
     """
     table, instrument = job.table("readings"), job.instrument("readings")
     instrument.text("kind", among=("autocollimator",))
-    covariates: dict[str, Any] = {}
-    if table.has("time"):
-        time = table.number("time", "time")
-        covariates["time"] = (time - time[0], "min")
-    if table.has("block"):
-        covariates["block"] = table.whole("block")
     return declare(table.whole("stop"), table.text("series"), table.whole("start_face"),
                    table.number("reading", "angle"), job.options.whole("faces"), instrument.quantity("u", "angle"),
-                   covariates, table.row_numbers)
+                   recorded(job, table), table.row_numbers)
 
 
 def example(seed: int, faces: int = 12, starts: tuple[int, ...] = (1, 2, 5)) -> Problem:

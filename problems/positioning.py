@@ -32,6 +32,7 @@ from calib.errors import InputError, RankDefect
 from calib.units import arcsec, degree, hour, minute, ppm
 from instruments import encoder, influence
 from problems import two_way
+from problems.recorded import recorded
 
 if TYPE_CHECKING:
     from calib.job import Job
@@ -186,13 +187,8 @@ def from_job(job: Job) -> Problem:
     u = instrument.quantity("u", "angle")
     if job.options.flag("figures", False):
         return two_way.declare(command, measured, table.whole("direction"), u, table.row_numbers)
-    given: dict[str, Any] = {}
-    if table.has("time"):
-        time = table.number("time", "time")
-        given["time"] = (time - time[0], "min")
-    given.update({name: table.whole(name) for name in ("direction", "block") if table.has(name)})
     orders = job.options.numbers("harmonics", ())
-    return declare(command, measured, u, given, [int(k) for k in orders], table.row_numbers)
+    return declare(command, measured, u, recorded(job, table), [int(k) for k in orders], table.row_numbers)
 
 
 def example(seed: int) -> Problem:

@@ -28,16 +28,15 @@ from calib import (
 from calib.errors import InputError
 from calib.geometry import cross
 from calib.job import MEASUREMENTS
-from calib.units import arcsec, degree, kelvin_from_celsius, minute, mm, um
+from calib.units import arcsec, degree, minute, mm, um
 from instruments import laser_tracker
 from problems import algebraic_circle, measured_points
 from problems.circle import in_plane
+from problems.recorded import recorded
 from problems.turntable_effects import table_effects, tracker_effects
 
 if TYPE_CHECKING:
     from calib.job import Job
-    from calib.settings import Settings
-    from calib.table import Table
     from calib.workflow.reproduce import Reproduction
 
 Array = NDArray[np.float64]
@@ -194,25 +193,12 @@ def from_job(job: Job) -> Problem:
     else:
         readings = laser_tracker.polar_readings(np.column_stack([table.number(c, "length") for c in ("x", "y", "z")]))
     command = table.number("command", "angle")
-    covariates = _covariates(table, settings)
+    covariates = recorded(job, table)
+    if table.has("split"):
+        covariates["split"] = table.text("split")
     stops = consecutive_stops(command, covariates.get("direction")) if positioning else None
     return declare(command, readings, measured_points.stated_polar(instrument, readings),
                    table.text("smr") if table.has("smr") else None, axis, stops, covariates, table.row_numbers)
-
-
-def _covariates(table: Table, settings: Settings) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    if table.has("time"):
-        time = table.number("time", "time")
-        found["time"] = (time - time[0], "min")
-    if table.has("temp"):
-        reference = kelvin_from_celsius(settings.number("reference_temperature_C", 20.0))
-        found["temperature_difference"] = (table.number("temp", "temperature") - reference, "K")
-    found.update({name: table.whole(name) for name in ("direction", "block") if table.has(name)})
-    found.update({name: table.whole(name) for name in ("sweep", "repeat") if table.has(name)})
-    if table.has("split"):
-        found["split"] = table.text("split")
-    return found
 
 
 def consecutive_stops(command: ArrayLike, direction: ArrayLike | None = None) -> NDArray[np.int64]:
