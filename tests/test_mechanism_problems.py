@@ -12,6 +12,8 @@ from calib.job import Job
 
 # every problem that tells its simulated errors in TRUTH: a new one is tested without being listed
 NAMES = tuple(m.__name__.removeprefix("problems.") for m in modules() if hasattr(m, "TRUTH"))
+LONGER = ("locator_carrier", "motion_simulator")      # over a second on a busy machine
+QUICK_FIRST = [pytest.param(n, marks=[pytest.mark.slow] if n in LONGER else []) for n in NAMES]
 REPEATED = ("three_axis_turntable", "machine_21", "hexapod")      # test_coverage repeats all of them in another way
 
 
@@ -21,7 +23,7 @@ def standardised(module, problem, estimate):
     return (covariance.values - np.concatenate([np.ravel(v) for v in module.TRUTH.values()])) / covariance.u
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", QUICK_FIRST)
 def test_simulated_errors_come_back_within_their_uncertainty(name):
     module = importlib.import_module(f"problems.{name}")
     problem = module.example(1)
@@ -31,7 +33,7 @@ def test_simulated_errors_come_back_within_their_uncertainty(name):
     assert np.abs(errors).max() < 4.0 and np.sqrt(np.mean(errors ** 2)) < 1.7
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", QUICK_FIRST)
 def test_the_example_job_runs(name, tmp_path):
     module = importlib.import_module(f"problems.{name}")
     for file, text in module.example_job(2).items():
