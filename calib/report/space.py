@@ -170,8 +170,9 @@ def _items(shape: Shape, centre: Array, radius: float, larger: float, colour: st
         yield _line(np.concatenate([places, places[:1]]) if shape.closed else places, f"track {colour}")
     elif isinstance(shape, Axes):
         for through, direction, key in zip(normal(shape.through), shape.directions, shape.keys):
-            yield _line(np.stack([through - AXIS * direction, through + AXIS * direction]), f"axis {colour}", shape.name)
-            yield _mark(through + AXIS * direction, f"end {colour}", key, shape.name)
+            ends = np.stack([through - AXIS * direction, through + AXIS * direction])
+            yield _line(ends, f"axis {colour}", shape.name)
+            yield _mark(ends[1], f"end {colour}", key, shape.name)
     else:
         yield from _points(shape, normal(shape.places), radius, larger, colour)
 

@@ -11,12 +11,13 @@ from problems.locators.case import columns, formulations, from_job, options, rem
 from problems.locators.measured import Locator, Readings, Setup, declare
 from problems.locators.pose_error import linear_form
 from problems.locators.printed import reproduce
+from problems.locators.scene import scene
 from problems.locators.vocabulary import effects, error_functions
 
 __all__ = [
     "Locator", "Readings", "Setup", "accepts", "columns", "declare", "effects", "error_functions", "example",
     "example_job",
-    "formulations", "from_job", "linear_form", "options", "published", "remarks", "reproduce",
+    "formulations", "from_job", "linear_form", "options", "published", "remarks", "reproduce", "scene",
 ]
 
 accepts = ("locators", "locator_pose")

@@ -17,6 +17,7 @@ from problems.network.effects import effects, with_candidates
 from problems.network.example import example, example_job
 from problems.network.gkf import read_gkf
 from problems.network.reduction import reduced
+from problems.network.scene import scene
 from problems.network.start import positions
 from problems.network.stations import Ranging, Sightings
 from problems.network.survey import Batch, Correlated, Point, Survey
@@ -69,6 +70,7 @@ __all__ = [
     "read_tables",
     "reduced",
     "remarks",
+    "scene",
     "settle",
     "started",
     "surveyed",
