@@ -22,8 +22,8 @@ from discrepancy_designs import DESIGNS
 from discrepancy_outcomes import Outcome, outcome
 
 COLUMNS = ("scenario", "hidden", "size", "cases", "alarm", "right_verdict", "effect_named", "exact", "exact_or_alias",
-           "ideal_power", "alias_set_complete", "spurious_aliases", "within_2u", "u_over_informed_u",
-           "gap_shrink_095", "seconds")
+           "exact_where_separable", "ideal_power", "alias_set_complete", "spurious_aliases", "within_2u",
+           "u_over_informed_u", "gap_shrink_095", "seconds")
 FIRST = 70_000  # seed of the first case; thresholds were chosen looking at smaller ones
 
 
@@ -49,7 +49,8 @@ def line(scenario: str, name: str, size: float, found: list[Outcome]) -> list[ob
 
     shrinks = np.array([one.shrink for one in found])
     enough = float(np.mean(shrinks[np.isfinite(shrinks)] >= 0.95)) if np.isfinite(shrinks).any() else float("nan")
-    figures = [mean(f) for f in ("alarmed", "right", "named", "exact", "or_alias", "ideal")]
+    figures = [mean(f) for f in ("alarmed", "right", "named", "exact", "or_alias",
+                                   "exact_where_separable", "ideal")]
     figures += [1 - mean("missed_aliases"), mean("spurious_aliases"), mean("within"), mean("u_ratio"), enough,
                 mean("seconds")]
     return [scenario, name, size, len(found), *("" if np.isnan(f) else f"{f:.3f}" for f in figures)]

@@ -20,8 +20,9 @@ from calib.workflow.discrepancy.readings import Channel, channels, row_numbers
 SEEN = 0.05  # share of a signal that the unknowns must leave for an effect to be hidden in a case
 APART = 0.5  # share of its signal that an effect must keep beside the others of its case
 FEWEST = 28  # rows of a case
-SHAPES = ("triangle", "fourth", "fifth", "bump", "product", "wave in time", "saturating", "growing hysteresis")
-NOISES = ("larger", "smaller", "channel", "block", "heavy", "serial")
+SHAPES = ("triangle", "fourth", "fifth", "bump", "product", "wave in time", "saturating", "growing hysteresis",
+          "step within", "lagging", "square of temperature", "different by direction")
+NOISES = ("larger", "smaller", "channel", "block", "growing", "heavy", "heavy of stated size", "serial")
 
 
 @dataclass(frozen=True)
@@ -171,6 +172,18 @@ def _shape(g: np.random.Generator, shape: str, channel: Channel) -> np.ndarray |
         return np.sin(2 * np.pi * g.uniform(1.5, 3.5) * share + phase)
     if shape == "saturating":
         return np.exp(-share / g.uniform(0.05, 0.15))
+    if shape == "step within":
+        return (share > g.uniform(0.25, 0.75)).astype(float)
+    if shape == "lagging":  # follows the temperature late
+        kelvin, late = cov["temperature_difference"], np.zeros(len(share))
+        for i in range(1, len(share)):
+            late[i] = late[i - 1] + (1 - np.exp(-(share[i] - share[i - 1]) / 0.15)) * (kelvin[i] - late[i - 1])
+        return late if np.ptp(kelvin) > 0 else None
+    if shape == "square of temperature":
+        return (cov["temperature_difference"] - np.median(cov["temperature_difference"])) ** 2
+    if shape == "different by direction" and angle is not None:
+        way = cov.get("direction", cov.get("approach x"))
+        return None if way is None or len(np.unique(way)) < 2 else way * np.cos(2 * angle + phase)
     if shape == "growing hysteresis":
         way = cov.get("direction", cov.get("approach x"))
         return None if way is None or len(np.unique(way)) < 2 else way * (share - share.mean())
@@ -187,7 +200,7 @@ def _shape(g: np.random.Generator, shape: str, channel: Channel) -> np.ndarray |
 
 
 def hide_noise(scenario: str, seed: int, kind: str) -> Case:
-    """A clean case with peculiar noise: larger, smaller, uneven by channel or block, heavy tails, serial."""
+    """A clean case with peculiar noise: larger, smaller, uneven by channel or block or time, heavy tails, serial."""
     g = np.random.default_rng([seed, 79])
     here = stage(_design(scenario, g))
     noise = g.standard_normal(len(here.numbers))
@@ -197,6 +210,12 @@ def hide_noise(scenario: str, seed: int, kind: str) -> Case:
         noise *= g.uniform(0.3, 0.6)
     elif kind == "heavy":
         noise = g.standard_t(3, len(noise))
+    elif kind == "heavy of stated size":
+        noise = g.standard_t(3, len(noise)) / np.sqrt(3)
+    elif kind == "growing":  # along time, from somewhat less to much more than stated
+        for channel in here.channels:
+            time = channel.covariates["time"]
+            noise[channel.places] *= 0.7 + g.uniform(2.0, 3.0) * (time - time.min()) / np.ptp(time)
     elif kind == "channel":
         if len(here.channels) < 2:
             kind = "block"

@@ -28,6 +28,7 @@ class Outcome:
     named: bool
     exact: bool
     or_alias: bool
+    exact_where_separable: float
     missed_aliases: float
     spurious_aliases: float
     within: float
@@ -46,18 +47,16 @@ def outcome(case: Case, level: float = 0.01, gap: bool = True) -> Outcome:
     pairs = [(key if key in true else next(iter(set(one.aliases) & true), None)) for key, one in mine.items()]
     or_alias = len(mine) == len(true) and None not in pairs and set(pairs) == true
     exact = set(mine) == true
-    missed = spurious = within = ratio = shrink = ideal = np.nan
+    missed = spurious = within = ratio = shrink = ideal = separable = np.nan
     if case.effects:
         estimate = solve(case.problem)
         scene = scene_of(case.problem, estimate, ())
         places = {(c.effect.name, c.channel): i for i, c in enumerate(scene.chosen)}
         ideal = _power(scene, case, places, level)
+        theirs = _aliases(scene, case, places)
+        if not any(theirs.values()):
+            separable = float(exact)
         if exact:
-            values = {places[key]: value for key, value in case.effects.items()}
-            sets = aliases(scene.field, list(values), values, scene.columns, scene.positive, estimated=False)
-            theirs = {(scene.chosen[one].effect.name, scene.chosen[one].channel):
-                      {(scene.chosen[o].effect.name, scene.chosen[o].channel) for o in others}
-                      for one, others in sets.items()}
             missed = float(any(theirs[key] - set(one.aliases) for key, one in mine.items()))
             count = sum(len(one.aliases) for one in mine.values())
             wrong = sum(len(set(one.aliases) - theirs[key]) for key, one in mine.items())
@@ -65,7 +64,15 @@ def outcome(case: Case, level: float = 0.01, gap: bool = True) -> Outcome:
             within, ratio = _parameters(case, mine)
             shrink = _shrink(case, found, estimate)
     return Outcome(found.verdict, found.verdict == case.verdict, found.verdict != "consistent", bool(mine), exact,
-                   or_alias, missed, spurious, within, ratio, shrink, ideal, seconds)
+                   or_alias, separable, missed, spurious, within, ratio, shrink, ideal, seconds)
+
+
+def _aliases(scene, case: Case, places) -> dict[tuple[str, str], set[tuple[str, str]]]:
+    """What each hidden effect has for aliases, from its true size."""
+    values = {places[key]: value for key, value in case.effects.items()}
+    sets = aliases(scene.field, list(values), values, scene.columns, scene.positive, estimated=False)
+    return {(scene.chosen[one].effect.name, scene.chosen[one].channel):
+            {(scene.chosen[o].effect.name, scene.chosen[o].channel) for o in others} for one, others in sets.items()}
 
 
 def _power(scene, case: Case, places, level: float) -> float:

@@ -16,6 +16,7 @@ from calib.problem import Problem
 from calib.solve.estimate import Estimate
 from calib.workflow.discrepancy.alias import Hidden, aliases, hidden, proportional, what_would_tell
 from calib.workflow.discrepancy.heldout import held_out
+from calib.workflow.discrepancy.looks import corrected
 from calib.workflow.discrepancy.noise import NoiseTest, size_test
 from calib.workflow.discrepancy.rivals import Noise
 from calib.workflow.discrepancy.scene import Scene
@@ -23,6 +24,7 @@ from calib.workflow.discrepancy.search import Finding
 from calib.workflow.discrepancy.structure import Place, Screen
 from calib.workflow.discrepancy.words import plausibility, remarks_on, sentence
 
+LOOKED_AT = 3  # kinds of look at the nominal model: the size of its residuals, places, effects
 MANY = 8  # places named under `where`
 
 
@@ -116,7 +118,8 @@ def conclude(
         effects, advice = _named(scene, judged.finding, judged.named, after)
     rows = judged.outliers if verdict in ("effects", "outliers") else ()
     where = tuple(p for p in screen.places()[:MANY] if p.p_value < 0.01)
-    p_value = min([size_test(nominal.field).p_value, *(p.p_value for p in where), *(e.p_value for e in effects)])
+    looks = [size_test(nominal.field).p_value, *(p.p_value for p in where[:1]), *(e.p_value for e in effects)]
+    p_value = corrected(min(looks), LOOKED_AT)  # each is corrected within its kind already
     rms = (_spread(before), _spread(after))
     held = None
     if check:

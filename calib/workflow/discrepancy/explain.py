@@ -108,8 +108,13 @@ def _settled(
             break
         named, outliers, estimate = chosen, rows, refit
         scene = scene_of(problem, estimate, named)
-        finding = search(scene.field, scene.readings, level, seed, shares, None, scene.positive)
+        finding = search(scene.field, scene.readings, level, seed, shares, None, scene.positive, _moved(scene, finding))
     return scene, _likelier(scene, finding), named, outliers, estimate
+
+
+def _moved(scene: Scene, finding: Finding) -> Finding:
+    """A finding less what cannot be seen where the model now stands."""
+    return replace(finding, effects=tuple(e for e in finding.effects if scene.field.frames[e].shape[1]))
 
 
 def _likelier(scene: Scene, finding: Finding) -> Finding:

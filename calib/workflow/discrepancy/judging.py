@@ -39,11 +39,12 @@ def best_account(
     nominal: nothing added; scene: where the model stands with the finding; screen: of the nominal residuals.
     """
     none = nothing(nominal)
-    described_ones = []
-    for where, base, first in ((scene, finding, None), (nominal, none, screen))[0 if finding.effects else 1:]:
-        whole = _with_structure(where, base, screen, level * shares.structure, seed, first)
-        if whole is not None:
-            described_ones.append(whole)
+    beside = _with_structure(scene, finding, screen, level * shares.structure, seed, None) if finding.effects else None
+    described_ones = [beside] if beside else []
+    if beside or len(finding.effects) not in (1, 2) or finding.scale != 1.0:
+        # One or two effects that leave nothing but the stated noise need no rival without a name.
+        instead = _with_structure(nominal, none, screen, level * shares.structure, seed, screen)
+        described_ones += [instead] if instead else []
     if not (finding.effects or finding.blunders or described_ones):
         # Nothing is significant: what the noise is, is for its own tests.
         return Account(none, (), Noise(STATED, 0.0, np.ones(len(scene.residual))), 0.0)
@@ -92,7 +93,7 @@ def price_of(scene: Scene, finding: Finding) -> float:
 
 def _search_again(scene: Scene, noise: Noise, level: float, seed: int, shares: Shares) -> Finding:
     """The search in rows that the account of the noise makes alike and independent."""
-    field = scene.serial(noise.correlation) if noise.kind == SERIAL else scene.seen_through(noise.rows)
+    field = scene.serial(noise.correlation, noise.way) if noise.kind == SERIAL else scene.seen_through(noise.rows)
     return search(field, scene.readings, level, seed, shares, 0, scene.positive)
 
 

@@ -7,13 +7,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.analyse.score import Field
 from calib.blocks import Array
 from calib.workflow.discrepancy.looks import effective_looks
-from calib.workflow.discrepancy.readings import Channel
+from calib.workflow.discrepancy.readings import Channel, sequences
 
 DRAWS = 300  # simulated residuals from which mean and spread of every figure are taken
+_SERIAL = "serial correlation"
 FEW = 12  # different values up to which a covariate is taken part by part
 FEWEST = 8  # readings from which their tails and their memory can be judged
 BARELY = 0.02  # redundancy below which a residual shows nothing of its reading
@@ -112,22 +114,22 @@ def _looks(standard: Array, channels: Sequence[Channel]) -> Iterator[tuple[str, 
     # The cube root of a square is nearly normal, so that a few rows and many are judged alike and one blunder is no
     # uneven size (Wilson and Hilferty 1931).
     sizes, squares = np.cbrt(standard**2), standard**2
-    products, total = np.zeros((1, standard.shape[1])), np.zeros((1, standard.shape[1]))
+    ways = sequences(channels)
+    for way, label in zip(ways, ("channels", "groups"), strict=False):
+        pairs = [(order, np.sum(standard[order[1:]] * standard[order[:-1]], axis=0)) for order in way if len(order) > 3]
+        for k, (order, product) in enumerate(pairs):
+            if len(order) >= FEWEST and len(pairs) == len(channels) and label == "channels":
+                yield _SERIAL, channels[k].name, (product / np.maximum(np.sum(squares[order], axis=0), 1e-300))[None]
+        if len(pairs) > 1 or label == "groups":
+            total = sum(np.sum(squares[order], axis=0) for order, _ in pairs)
+            yield _SERIAL, f"all {label}", (sum(product for _, product in pairs) / np.maximum(total, 1e-300))[None]
     for channel in channels:
-        order = channel.places[channel.order]
-        if len(order) >= 4:
-            product = np.sum(standard[order[1:]] * standard[order[:-1]], axis=0, keepdims=True)
-            square = np.sum(squares[order], axis=0, keepdims=True)
-            products, total = products + product, total + square
-            if len(order) >= FEWEST:
-                yield "serial correlation", channel.name, product / np.maximum(square, 1e-300)
         own = sizes[channel.places]
         mean = np.maximum(own.mean(axis=0, keepdims=True), 1e-300)
         for name, column in _uneven(channel):
             centred = (column - column.mean()) / max(float(np.std(column)), 1e-12)
             yield "uneven size", f"{channel.name}, {name}", centred[None, :] @ own / mean
     if len(channels) > 1:
-        yield "serial correlation", "all channels", products / np.maximum(total, 1e-300)
         whole = sizes.sum(axis=0, keepdims=True)
         for channel in channels:
             own = sizes[channel.places].sum(axis=0, keepdims=True)
@@ -151,10 +153,9 @@ def _uneven(channel: Channel) -> Iterator[tuple[str, Array]]:
             yield f"{covariate} away from its middle", np.abs(numbers - np.median(numbers))
 
 
-def lagged(array: Array, channels: Sequence[Channel], correlation: float) -> Array:
-    """Rows (n, k) whitened for a first-order serial correlation within every channel."""
+def lagged(array: Array, sequences: Sequence[NDArray[np.int64]], correlation: float) -> Array:
+    """Rows (n, k) whitened for a first-order serial correlation along each sequence of places."""
     whitened = array.copy()
-    for channel in channels:
-        order = channel.places[channel.order]
+    for order in sequences:
         whitened[order[1:]] = (array[order[1:]] - correlation * array[order[:-1]]) / np.sqrt(1 - correlation**2)
     return whitened

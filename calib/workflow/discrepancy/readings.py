@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,11 +20,12 @@ ANGLES = ("angle", "command", "azimuth", "elevation")  # arguments of models tha
 class Channel:
     """The scalar readings of one component of one group: where they stand among all, their rows and covariates.
 
-    name: group and component; places (m,): among all whitened scalar rows; rows (m,): of the data file;
+    name: group and component; component; places (m,): among all whitened scalar rows; rows (m,): of the data file;
     covariates, units: recorded with each reading; order (m,): sorts them in time (or as they stand in the file).
     """
 
     name: str
+    component: str
     places: NDArray[np.int64]
     rows: NDArray
     covariates: dict[str, NDArray]
@@ -77,7 +78,19 @@ def _channel(
     name = " ".join(part for part in (group.name, group.components[component]) if part)
     time = covariates.get("time")
     order = np.arange(len(inside)) if time is None or time.dtype.kind not in "fiu" else np.argsort(time, kind="stable")
-    return Channel(name, places, group.rows[inside], covariates, units, order)
+    return Channel(name, group.components[component], places, group.rows[inside], covariates, units, order)
+
+
+def sequences(channels: Sequence[Channel]) -> list[list[NDArray[np.int64]]]:
+    """Ways in which one reading may have followed another: each channel in time; and, where several groups have the
+    same components, those of one component as they stand in the file. Each way is a list of places in their order."""
+    ways = [[channel.places[channel.order] for channel in channels]]
+    together = []
+    for component in dict.fromkeys(channel.component for channel in channels):
+        alike = [channel for channel in channels if channel.component == component]
+        places = np.concatenate([channel.places for channel in alike])
+        together.append(places[np.argsort(np.concatenate([channel.rows for channel in alike]), kind="stable")])
+    return [*ways, together] if len(together) < len(channels) else ways
 
 
 def row_numbers(fit: Linearisation) -> NDArray:

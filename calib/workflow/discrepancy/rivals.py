@@ -10,11 +10,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.analyse.score import Field
 from calib.blocks import Array
 from calib.workflow.discrepancy.noise import BARELY, lagged, standardised, student
-from calib.workflow.discrepancy.readings import Channel
+from calib.workflow.discrepancy.readings import Channel, sequences
 
 STATED, SCALED, UNEVEN, HEAVY, SERIAL = "as stated", "of another size", "uneven", "heavy-tailed", "serial"
 STEEPNESS = np.array([-1.2, -0.8, -0.4, 0.4, 0.8, 1.2])  # logarithm of the size of noise at the end of a covariate
@@ -25,13 +26,15 @@ BOUND = 0.05  # smallest variance that an estimate may take
 
 @dataclass(frozen=True)
 class Noise:
-    """One account of the noise: kind, score (smaller is better), scale of every row (n,), serial correlation, where."""
+    """One account of the noise: kind, score (smaller is better), scale of every row (n,), serial correlation, where,
+    and the sequences of places along which it is correlated."""
 
     kind: str
     score: float
     rows: Array
     correlation: float = 0.0
     where: str = "all readings"
+    way: tuple[NDArray[np.int64], ...] = ()
 
 
 def accounts(left: Field, channels: Sequence[Channel]) -> list[Noise]:
@@ -51,27 +54,35 @@ def accounts(left: Field, channels: Sequence[Channel]) -> list[Noise]:
 
 
 def _uneven(left: Field, channels: Sequence[Channel], dof: int) -> Iterator[Noise]:
-    """Another variance in parts of the readings, in one part or in each, or one that grows along a covariate."""
+    """Another variance in parts of the readings, in some alike or in each, or one that grows along a covariate."""
+    from scipy.special import gammaln
+
     splits, slopes = _different(_partitions(channels, len(left.residual))), list(_slopes(channels, len(left.residual)))
     choice = 2 * np.log(max(len(splits) + len(slopes), 1))
     squared = left.residual**2
     for name, keys in splits:
-        parts = [(key, np.flatnonzero(keys == key)) for key in np.unique(keys[keys >= 0])]
-        parts = [(key, places) for key, places in parts if np.sum(left.redundancy[places]) >= SMALLEST]
-        rows, gains = np.ones(len(squared)), []
-        for _, places in parts:
-            seen, squares = float(np.sum(left.redundancy[places])), float(np.sum(squared[places]))
-            variance = max(squares / seen, BOUND)
-            rows[places] = np.sqrt(variance)
-            gains.append(squares - seen * np.log(variance) - squares / variance)
-        if len(parts) > 1:
-            yield Noise(UNEVEN, left.squares - sum(gains) + len(parts) * np.log(dof) + choice, rows, where=name)
-        if parts and len(np.unique(keys)) > 1:
-            one = int(np.argmax(gains))
-            alone = np.ones(len(squared))
-            alone[parts[one][1]] = rows[parts[one][1]]
-            price = np.log(dof) + 2 * np.log(len(parts)) + choice
-            yield Noise(UNEVEN, left.squares - gains[one] + price, alone, where=f"one part of {name}")
+        codes = np.unique(keys, return_inverse=True)[1]
+        seen, squares = np.bincount(codes, left.redundancy), np.bincount(codes, squared)
+        enough = (seen >= SMALLEST) & (np.bincount(codes, keys >= 0) > 0)
+        variance = np.where(enough, np.maximum(squares / np.maximum(seen, 1e-9), BOUND), 1.0)
+        gains = squares - seen * np.log(variance) - squares / variance
+        count = int(enough.sum())
+        if count > 1:
+            score = left.squares - float(gains.sum()) + count * np.log(dof) + choice
+            yield Noise(UNEVEN, score, np.sqrt(variance)[codes], where=name)
+        for order in (np.argsort(variance), np.argsort(-variance)) if len(seen) > 1 else ():
+            # The parts of the smallest or the largest scatter alike, the rest as stated.
+            order = order[enough[order]][: len(seen) - 1]
+            sizes, sums = np.cumsum(seen[order]), np.cumsum(squares[order])
+            common = np.maximum(sums / np.maximum(sizes, 1e-9), BOUND)
+            number = np.arange(1, len(order) + 1)
+            chosen = 2 * (gammaln(count + 1) - gammaln(number + 1) - gammaln(np.maximum(count - number, 0) + 1))
+            scores = left.squares - (sums - sizes * np.log(common) - sums / common) + chosen
+            if len(order):
+                best = int(np.argmin(scores))
+                alone = np.where(np.isin(codes, order[: best + 1]), np.sqrt(common[best]), 1.0)
+                label = f"{best + 1} of {len(seen)} parts by {name}"
+                yield Noise(UNEVEN, float(scores[best]) + np.log(dof) + choice, alone, where=label)
     for name, scaled in slopes:
         grown = np.exp(2 * np.outer(STEEPNESS, scaled))  # variance: the size grows exponentially along a covariate
         seen, squares = grown**0 @ left.redundancy, (1 / grown) @ squared
@@ -138,20 +149,30 @@ def _heavy(left: Field) -> Noise:
 
 
 def _serial(left: Field, channels: Sequence[Channel], dof: int, price: float) -> Noise:
-    """First-order serial correlation of free size within every channel."""
-    steps = sum(max(len(c.places) - 1, 0) for c in channels) * dof / len(left.residual)
-    quick = [_likelihood(lagged(left.residual[:, None], channels, c)[:, 0], steps, c, dof) for c in CORRELATIONS]
+    """First-order serial correlation of free size within every channel, or from one group to the next."""
+    ways = sequences(channels)
+    found = [_along(left, way, dof) for way in ways]
+    best = int(np.argmin([score for score, _ in found]))
+    score, correlation = found[best]
+    where = f"correlation {correlation:.2f} from one to the next"
+    choice = 2 * np.log(len(ways))
+    return Noise(SERIAL, score + 2 * price + choice, np.ones(len(left.residual)), correlation, where, tuple(ways[best]))
+
+
+def _along(left: Field, way: Sequence[NDArray[np.int64]], dof: int) -> tuple[float, float]:
+    """Score and correlation of the serial correlation that goes best with the residuals along sequences of places."""
+    steps = sum(max(len(order) - 1, 0) for order in way) * dof / len(left.residual)
+    quick = [_likelihood(lagged(left.residual[:, None], way, c)[:, 0], steps, c, dof) for c in CORRELATIONS]
     near = CORRELATIONS[int(np.argmin(quick))]
     best, correlation = min(quick), float(near)
     if abs(near) > 0.15:
         # Residuals of a fit look less correlated than the noise was: judge the fit that knows the correlation.
         for trial in sorted({near, *(min(near + more, 0.97) for more in (0.1, 0.2, 0.3) if near > 0)}):
-            basis = np.linalg.qr(lagged(left.basis, channels, trial))[0]
-            right = lagged(left.residual[:, None], channels, trial)[:, 0]
+            basis = np.linalg.qr(lagged(left.basis, way, trial))[0]
+            right = lagged(left.residual[:, None], way, trial)[:, 0]
             right = right - basis @ (basis.T @ right)
             best, correlation = min((best, correlation), (_likelihood(right, steps, trial, dof), float(trial)))
-    where = f"correlation {correlation:.2f} from one to the next"
-    return Noise(SERIAL, best + 2 * price, np.ones(len(left.residual)), correlation, where)
+    return best, correlation
 
 
 def _likelihood(whitened: Array, steps: float, correlation: float, dof: int) -> float:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from calib.analyse.score import Candidate, Field, candidates, field_of, orthonormal
 from calib.blocks import Array
+from calib.factor import DenseFactor
 from calib.linearisation import Linearisation, linearise_system
 from calib.problem import Problem
 from calib.solve.estimate import Estimate
@@ -46,12 +47,12 @@ class Scene:
         """The field with every row divided by a scale (n,)."""
         return _field(self.derivatives / rows[:, None], self.residual / rows, [c / rows[:, None] for c in self.columns])
 
-    def serial(self, correlation: float) -> Field:
-        """The field with rows whitened for serial correlation."""
+    def serial(self, correlation: float, way: Sequence[NDArray[np.int64]]) -> Field:
+        """The field with rows whitened for serial correlation along sequences of places."""
         return _field(
-            lagged(self.derivatives, self.channels, correlation),
-            lagged(self.residual[:, None], self.channels, correlation)[:, 0],
-            [lagged(c, self.channels, correlation) for c in self.columns],
+            lagged(self.derivatives, way, correlation),
+            lagged(self.residual[:, None], way, correlation)[:, 0],
+            [lagged(c, way, correlation) for c in self.columns],
         )
 
 
@@ -66,7 +67,9 @@ def scene_of(problem: Problem, at: Estimate, named: Sequence[Candidate]) -> Scen
     held = problem.hold(*[c.selection for c in named]) if named else problem
     fit = linearise_system(System(held), at.values)
     chosen = tuple(candidates(fit))
-    columns = [fit.held_columns(c.columns) for c in chosen]
+    together = fit.held_columns([c for one in chosen for c in one.columns])
+    ends = np.cumsum([len(one.columns) for one in chosen])
+    columns = np.split(together, ends[:-1], axis=1) if chosen else []
     derivatives, residual = fit.rows
     residual = residual.copy()
     labels = {c.label for c in named}
@@ -76,4 +79,7 @@ def scene_of(problem: Problem, at: Estimate, named: Sequence[Candidate]) -> Scen
     basis = field_of(fit, ()).basis
     left = residual - basis @ (basis.T @ residual)
     field = Field(left, np.maximum(1 - np.sum(basis**2, axis=1), 0), basis, (), ()).with_signals(columns)
-    return Scene(fit, chosen, tuple(columns), derivatives.toarray(), residual, tuple(channels(fit, problem)), field)
+    dense = derivatives.toarray()
+    if isinstance(fit.factor, DenseFactor):
+        dense = dense @ fit.factor.root  # the directions that the conditions leave free
+    return Scene(fit, chosen, tuple(columns), dense, residual, tuple(channels(fit, problem)), field)

@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.analyse.score import Field, orthonormal
-from calib.workflow.discrepancy.looks import corrected, effective_looks, smallest_tails, tail
+from calib.blocks import Array
+from calib.workflow.discrepancy.looks import corrected, corrected_each, effective_looks, smallest_tails, tail, tails
 from calib.workflow.discrepancy.subsets import PARAMETER, Subsets
 
 EXPLORE = 0.25  # corrected p-value up to which the search goes on adding, before it drops what is not needed
 MOST_EFFECTS = 6
 STEPS = 12  # of exchange at most
-LIKELY = 16  # candidates of which pairs are tried
+LIKELY = 10  # candidates of which pairs are tried
+CROWDED = 4  # effects up to which pairs are tried at all
 DRAWS = 400  # simulated residuals from which the number of independent looks is judged
 SCALE_LEVEL = 0.002  # at which the stated noise is given up for the one that is left over
 
@@ -77,44 +79,49 @@ def search(
     shares: Shares | None = None,
     most_blunders: int | None = None,
     positive: frozenset[int] = frozenset(),
+    start: Finding | None = None,
 ) -> Finding:
     """Find effects and blunders by forward steps, exchanges and backward elimination.
 
     field: residuals with the signals of all candidates; readings: places of the rows that may be blunders; level:
     overall probability of a false alarm; seed: of the simulated looks; shares: of the level; most_blunders: at most;
-    positive: places of the candidates whose one parameter cannot be negative.
+    positive: places of the candidates whose one parameter cannot be negative; start: a finding where the model stood
+    before, to go on from.
     """
     shares = shares or Shares()
     looks = independent_looks(field, seed)
     model = Subsets(field, looks, readings, positive)
     most_blunders = max(3, len(readings) // 25) if most_blunders is None else most_blunders
-    effects, blunders = _forward(model, most_blunders)
+    effects, blunders = _forward(model, most_blunders, start)
     left = field.taking(model.columns(effects, blunders))
     scale = noise_scale(left)
-    effects = _exchange(model, effects, blunders, scale)
+    effects = _exchange(model, effects, blunders, scale, start is None)
     return _backward(model, effects, blunders, level, shares)
 
 
-def _forward(model: Subsets, most_blunders: int) -> tuple[list[int], list[int]]:
+def _forward(model: Subsets, most_blunders: int, start: Finding | None) -> tuple[list[int], list[int]]:
     field, readings = model.field, model.readings
-    effects: list[int] = []
-    blunders: list[int] = []
+    effects: list[int] = list(start.effects) if start else []
+    blunders: list[int] = list(start.blunders) if start else []
+    if start:
+        field = field.taking(model.columns(effects, blunders))
     while True:
         steps: list[tuple[float, float, str, int]] = []  # corrected p-value, minus the gain, what, place
         drops, dofs = field.statistics
-        for one, (drop, dof) in enumerate(zip(drops, dofs, strict=True)):
-            if one in effects or dof == 0 or len(effects) >= MOST_EFFECTS:
-                continue
-            if one in model.positive and field.signals[one][:, 0] @ field.residual <= 0:
-                continue
-            p = tail(drop, int(dof), _scale_after(field, drop, int(dof)), field.dof - int(dof))
-            steps.append((corrected(p * model.sides(one), model.looks), PARAMETER * dof - drop, "effect", one))
+        if len(effects) < MOST_EFFECTS and len(drops):
+            scales = _scale_after(field, drops, dofs)
+            sides = np.array([model.sides(one) for one in range(len(dofs))])
+            for one, p in enumerate(corrected_each(tails(drops, dofs, scales, field.dof - dofs) * sides, model.looks)):
+                wrong_sign = one in model.positive and field.signals[one][:, 0] @ field.residual <= 0
+                if one not in effects and dofs[one] and not wrong_sign:
+                    steps.append((float(p), PARAMETER * float(dofs[one]) - float(drops[one]), "effect", one))
         if len(blunders) < most_blunders and len(readings):
             seen = np.where(field.redundancy[readings] > 1e-6, field.redundancy[readings], np.inf)
             squared = field.residual[readings] ** 2 / seen
             place = int(np.argmax(squared))
             drop = float(squared[place])
-            p = corrected(tail(drop, 1, _scale_after(field, drop, 1), field.dof - 1), len(readings))
+            scale = float(_scale_after(field, np.array([drop]), np.array([1]))[0])
+            p = corrected(tail(drop, 1, scale, field.dof - 1), len(readings))
             steps.append((p, PARAMETER - drop, "blunder", int(readings[place])))
         p, _, what, place = min(steps, default=(1.0, 0.0, "", -1))
         if p >= EXPLORE:
@@ -129,19 +136,20 @@ def _forward(model: Subsets, most_blunders: int) -> tuple[list[int], list[int]]:
             field = field.taking(orthonormal(field.outside(unit), np.ones(1)))
 
 
-def _scale_after(field: Field, drop: float, dof: int) -> float:
-    """Variance that would be left after a step, never less than stated: what is not yet found must not look like noise
-    that is smaller."""
-    left = field.dof - dof
-    return max(1.0, (field.squares - drop) / left) if left > 0 else 1.0
+def _scale_after(field: Field, drops: Array, dofs: NDArray[np.int64]) -> Array:
+    """Variance that would be left after each step, never less than stated: what is not yet found must not look like
+    noise that is smaller."""
+    left = field.dof - dofs
+    return np.where(left > 0, np.maximum(1.0, (field.squares - drops) / np.maximum(left, 1)), 1.0)
 
 
-def _exchange(model: Subsets, effects: list[int], blunders: list[int], scale: float) -> list[int]:
-    """Replace one effect or two by one or two, drop or add one, as long as that costs less."""
+def _exchange(model: Subsets, effects: list[int], blunders: list[int], scale: float, far: bool) -> list[int]:
+    """Replace one effect or two by one (far: or by two), drop or add one, as long as that costs less."""
     visible = [i for i, f in enumerate(model.field.frames) if f.shape[1]]
     cost = float(model.costs([effects], blunders, scale)[0])
     for _ in range(STEPS):
-        for trials in (_near(effects, visible), _far(model, effects, visible, blunders, scale)):
+        for wide in (False, True) if far else (False,):
+            trials = _far(model, effects, visible, blunders, scale) if wide else _near(effects, visible)
             costs = model.costs(trials, blunders, scale) if trials else np.array([np.inf])
             best = int(np.argmin(costs))
             if costs[best] < cost - 1e-9:
@@ -167,11 +175,11 @@ def _far(
 ) -> list[list[int]]:
     """Sets in which one or two effects are replaced by two: forward steps do not come by them."""
     trials: list[list[int]] = []
-    for count in (1, 2):
+    for count in (1, 2) if len(effects) <= CROWDED else ():
         for out in combinations(effects, count):
             rest = [e for e in effects if e not in out]
             fresh = [new for new in visible if new not in effects or new in out]
-            if len(rest) + 2 > MOST_EFFECTS or not fresh:
+            if not fresh:
                 continue
             alone = model.costs([[*rest, new] for new in fresh], blunders, scale)
             likely = [fresh[i] for i in np.argsort(alone)[:LIKELY]]

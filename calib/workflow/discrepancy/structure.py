@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import groupby
+from itertools import combinations, groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from calib.workflow.discrepancy.readings import Channel
 
 HARMONICS = (1, 2, 3, 4, 5, 6)
 WAVES = (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)  # waves over the range of a covariate that is no angle
+STEPS = 16  # parts of the time between which a step may be
 DEGREES = 5  # of the polynomials over one covariate
 FEW = 12  # different values up to which a covariate is taken level by level
 SPLIT_BY = 6  # different keys up to which a channel is also looked at key by key
@@ -106,7 +107,7 @@ def _shapes(values: NDArray, unit: str) -> Iterator[tuple[str, Array]]:
     if unit in ("rad", "deg"):
         orders = [o for o in HARMONICS if len(levels) > 2 * o]
         for order in orders:
-            yield f"harmonic {order}", np.stack([np.cos(order * numbers), np.sin(order * numbers)], axis=1)
+            yield f"harmonic {order}", _turning(order * numbers)
     scaled = _scaled(numbers)
     if len(levels) > 4:
         yield "cubic", np.polynomial.legendre.legvander(scaled, 3)[:, 1:]
@@ -124,27 +125,42 @@ def _shapes(values: NDArray, unit: str) -> Iterator[tuple[str, Array]]:
     if unit not in ("rad", "deg"):
         for waves in WAVES:
             if len(levels) > 3 * waves:
-                turns = np.pi * waves * scaled
-                yield f"{waves:g} waves over the range", np.stack([np.cos(turns), np.sin(turns)], axis=1)
+                yield f"{waves:g} waves over the range", _turning(np.pi * waves * scaled)
+    if unit == "s":
+        for share in np.arange(1, STEPS) / STEPS:
+            column = (numbers >= np.quantile(numbers, share)).astype(float)
+            yield f"step at {share:.2f} of the time", column[:, None]
     yield "pieces", (np.digitize(scaled, np.linspace(-1, 1, 9)[1:-1])[:, None] == np.arange(8)).astype(float)
 
 
 def _products(channel: Channel, inside: NDArray) -> Iterator[tuple[str, str, Array]]:
-    """What grows with time or temperature: a width, a harmonic."""
-    runs = [k for k in ("time", "temperature_difference") if _varies(channel.covariates.get(k), inside)]
-    for run in runs:
-        scaled = _scaled(channel.covariates[run][inside].astype(float))
-        for name, values in channel.covariates.items():
-            if name == run or values.dtype.kind not in "fiub" or not _varies(values, inside):
-                continue
-            if channel.units.get(name) in ("rad", "deg"):
+    """What grows with time or temperature or differs by direction: a width, a harmonic; and what two travels do
+    together."""
+    varying = {name: values[inside].astype(float) for name, values in channel.covariates.items()
+               if _varies(values, inside)}
+    angles = [name for name in varying if channel.units.get(name) in ("rad", "deg")]
+    for run in (name for name in ("time", "temperature_difference") if name in varying):
+        scaled = _scaled(varying[run])
+        for name, values in varying.items():
+            if name in angles:
                 for order in (1, 2):
-                    turn = order * values[inside].astype(float)
                     yield (f"{name} and {run}", f"harmonic {order} that changes with {run}",
-                           scaled[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1))
-            elif len(np.unique(values[inside])) <= 3:
+                           scaled[:, None] * _turning(order * values))
+            elif name != run and len(np.unique(values)) <= 3:
                 yield (f"{name} and {run}", f"difference between {name} that changes with {run}",
-                       (scaled * values[inside])[:, None])
+                       (scaled * values)[:, None])
+    for name in varying:
+        if name.startswith(("direction", "approach")):
+            for angle in angles:
+                for order in (1, 2, 3):
+                    yield (f"{angle} and {name}", f"harmonic {order} that differs by {name}",
+                           varying[name][:, None] * _turning(order * varying[angle]))
+    for one, other in combinations([name for name in varying if name.split()[0] == "travel"], 2):
+        yield f"{one} and {other}", "product", (_scaled(varying[one]) * _scaled(varying[other]))[:, None]
+
+
+def _turning(angle: Array) -> Array:
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def _varies(values: NDArray | None, inside: NDArray) -> bool:
@@ -227,14 +243,14 @@ def _sheet(field: Field, shapes: Sequence[Pattern]) -> tuple[_Sheet, list[Patter
     together = np.concatenate([s.columns for s in shapes], axis=1)
     together = together / np.maximum(np.linalg.norm(together, axis=0), 1e-300)
     taken = field.basis[places].T @ together
+    normal = together.T @ together - taken.T @ taken
     starts = np.cumsum([0, *(s.columns.shape[1] for s in shapes)])
     sizes = np.diff(starts)
     kept: dict[int, Array] = {}
     for size in np.unique(sizes):
         which = np.flatnonzero(sizes == size)
         columns = starts[which][:, None] + np.arange(size)
-        own, lost = together[:, columns].transpose(1, 2, 0), taken[:, columns].transpose(1, 2, 0)
-        values, vectors = np.linalg.eigh(own @ own.transpose(0, 2, 1) - lost @ lost.transpose(0, 2, 1))
+        values, vectors = np.linalg.eigh(normal[columns[:, :, None], columns[:, None, :]])
         for i, value, vector in zip(which, values, vectors, strict=True):
             seen = value > 1e-6
             if seen.any():
