@@ -36,7 +36,7 @@ from calib.job import Job
 from calib.units import mm, nm, um
 from calib.unknown import Selection
 from calib.workflow.compare.formulation import Formulation
-from instruments import coordinate_machine, interferometer
+from instruments import coordinate_machine, influence, interferometer
 from problems import algebraic_base_point, base_point_bound, base_point_lines
 from problems.base_point_lines import Lines
 
@@ -273,11 +273,14 @@ def effects(blocks: Sequence[int] = (), middle: ArrayLike = (0.0, 0.0, 0.0), hal
 
 def with_recorded_effects(problem: Problem, lines: Lines, middle: ArrayLike, half_range: ArrayLike,
                           wavelength: float = interferometer.HELIUM_NEON) -> Problem:
-    """The problem with every effect whose inputs were recorded, all held at zero; arguments as for `effects`."""
+    """The problem with every effect whose inputs were recorded, held at zero; arguments as for `effects`. Where the
+    start is not free, a reading that was not zero there is one of them."""
     blocks = np.unique(lines.covariates["block"])[1:].tolist() if "block" in lines.covariates else []
-    recorded = {*lines.covariates, "velocity", "line"}
-    return problem.with_effects(*(e for e in effects(blocks, middle, half_range, wavelength)
-                                  if recorded.issuperset(e.inputs)))
+    offered = [*effects(blocks, middle, half_range, wavelength)]
+    if problem.constraints or problem.is_held(problem.select("start_length").unknown).all():
+        offered.append(influence.offset("start_offset", "displacement", "o", "um", (0.2 * um, 100 * um), channel="d",
+                                        source=interferometer.TRACKING))
+    return problem.with_effects(*problem.acting(offered))
 
 
 def from_job(job: Job) -> Problem:
