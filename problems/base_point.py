@@ -259,13 +259,10 @@ def declare_one_line(travel: ArrayLike, readings: ArrayLike | None, u: ArrayLike
 
 def effects(blocks: Sequence[int] = (), middle: ArrayLike = (0.0, 0.0, 0.0), half_range: ArrayLike = (0.5, 0.5, 0.5),
             wavelength: float = interferometer.HELIUM_NEON) -> tuple[Effect, ...]:
-    """Effects of the guides that move the reflector and of the tracking interferometer.
-
-    blocks: at whose beginning the reading may have jumped; middle, half_range: (3,) [m] of the travel, for
-    straightness; wavelength: [m] of the tracking interferometer, for the cyclic error.
-    """
+    """Effects of the guides that move the reflector and of the tracking interferometer. blocks: at whose beginning the
+    reading may have jumped; middle, half_range: (3,) [m] of the travel; wavelength: [m] of the interferometer."""
     guides = (e for e in coordinate_machine.guide_effects(middle=middle, half_range=half_range)
-              if e.name != "zero_offset")                          # a shift of all points is a shift of the base point
+              if e.name != "zero_offset")  # a shift of all points is one of the base point
     tracker = (e for e in (*interferometer.effects(blocks, wavelength), *interferometer.tracking_effects())
                if e.name in ("scale", "cyclic", "drift", "thermal", "step", "time_sync") and e.channel.startswith("d"))
     return (*guides, *coordinate_machine.cosine_effects(), *tracker)
@@ -273,8 +270,7 @@ def effects(blocks: Sequence[int] = (), middle: ArrayLike = (0.0, 0.0, 0.0), hal
 
 def with_recorded_effects(problem: Problem, lines: Lines, middle: ArrayLike, half_range: ArrayLike,
                           wavelength: float = interferometer.HELIUM_NEON) -> Problem:
-    """The problem with every effect whose inputs were recorded, held at zero; arguments as for `effects`. Where the
-    start is not free, a reading that was not zero there is one of them."""
+    """The problem with every effect whose inputs were recorded, and where the start is not free its offset, held."""
     blocks = np.unique(lines.covariates["block"])[1:].tolist() if "block" in lines.covariates else []
     offered = [*effects(blocks, middle, half_range, wavelength)]
     if problem.constraints or problem.is_held(problem.select("start_length").unknown).all():
