@@ -29,10 +29,13 @@ from calib import (
     prior,
     simulate,
 )
+from calib.analyse.shapes import points_of
 from calib.job import Job
 from calib.mechanism import observe
 from calib.mechanism.heldout import misses, rms
 from calib.mechanism.loop import leg_length
+from calib.mechanism.scene import placed
+from calib.scene import Points, Scene, Sights
 from calib.units import mm, mrad, ppm, um, urad
 
 accepts = ("problems.hexapod",)
@@ -132,6 +135,11 @@ def from_job(job: Job) -> Problem:
                    table.row_numbers)
 
 
+def in_columns(observations: Observations) -> tuple[str, dict[str, np.ndarray]] | None:
+    """Poses as their table has them: {column: values}."""
+    return ("poses", observe.pose_columns(observations)) if observations.group == "poses" else None
+
+
 def heldout(job: Job, estimate: Estimate) -> list[tuple[str, float, float, str]]:
     """Poses that were not used, found from the legs alone: hexapod as designed before, identified after.
 
@@ -167,18 +175,22 @@ def example(seed: int) -> Problem:
 
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job with simulated readings: {file name: text}. seed: of the errors."""
-    problem = example(seed)
-    legs, poses = (o.recorded for o in problem.observations[:2])
-    _, rotations = planned(40, 3)
+    legs, poses = example(seed).observations[:2]
+    columns = observe.pose_columns(poses)
     lines = ["# source: simulated, tracker on a hexapod's platform", "x_mm,y_mm,z_mm,qw,qx,qy,qz,"
              + ",".join(f"leg{i + 1}_mm" for i in range(LEGS))]
-    for near, reading, row in zip(rotations, poses, legs.reshape(-1, LEGS), strict=True):
-        quaternion = observe.quaternion(near @ geometry.small_rotation(reading[3:]))
-        lines.append(",".join(f"{v / mm:.6f}" for v in reading[:3]) + "," + ",".join(f"{v:.10f}" for v in quaternion)
-                     + ","
-                     + ",".join(f"{v / mm:.6f}" for v in row))
+    for *pose, row in zip(*columns.values(), legs.recorded.reshape(-1, LEGS), strict=True):
+        cells = [f"{v / mm:.6f}" for v in pose[:3]] + [f"{v:.10f}" for v in pose[3:]] + [f"{v / mm:.6f}" for v in row]
+        lines.append(",".join(cells))
     job = 'problem = "problems.hexapod"\n\n[data.poses]\nfile = "poses.csv"\n\n[options]\nu_position = "20 um"\n' \
           'u_orientation = "50 urad"\nu_leg = "2 um"\nu_joint = "0.5 mm"\nu_zero = "1 mm"\n'
     return {"job.toml": job, "poses.csv": "\n".join(lines) + "\n"}
 
 
+def scene(job: Job, estimate: Estimate) -> Scene:
+    """The joints of base and platform with their uncertainty and the six legs, in the first posture."""
+    base, top, platform = (estimate.problem.select(name).unknown for name in ("base_joint", "platform_joint",
+                                                                              "platform"))
+    below, above = points_of(estimate.fit, base), placed(points_of(estimate.fit, top), estimate[platform][0])
+    return Scene((below, above, Sights("legs", below.places, above.places),
+                  Points("platform in every posture", [np.ravel(pose.translation) for pose in estimate[platform]])))

@@ -85,3 +85,21 @@ def test_readings_that_were_not_used_are_predicted_better_by_the_identified_mech
     job = Job.read(tmp_path / "job.toml")
     for quantity, before, after, unit in module.heldout(job, calib.solve(module.from_job(job))):
         assert after < 0.7 * before, f"{quantity}: {before} {unit} before, {after} {unit} after"
+
+
+def test_simulated_readings_of_a_hexapod_stand_in_the_columns_of_its_job(tmp_path):
+    from calib.workflow.simulated import simulated
+    from problems import hexapod
+    for file, text in hexapod.example_job(2).items():
+        (tmp_path / file).write_text(text)
+    job = Job.read(tmp_path / "job.toml")
+    problem = hexapod.from_job(job)
+    found = simulated(job, problem, calib.solve(problem), 5, {"scale": "300 ppm"}, hexapod.in_columns)
+    assert not found.loose
+    for table in found.tables.values():
+        table.write(tmp_path / "poses.csv")
+    again = hexapod.from_job(Job.read(tmp_path / "job.toml"))
+    freed = again.free(again.parameters("scale"))
+    estimate = calib.solve(freed)
+    found_scale = calib.covariance(calib.linearise(estimate), again.parameters("scale"))
+    assert estimate.certificate.passed and abs(found_scale.values[0] - 300e-6) < 4 * found_scale.u[0]

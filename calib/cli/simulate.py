@@ -36,9 +36,10 @@ def simulate(
     from calib.report.provenance import provenance
 
     read = Job.read(job, data_folder)
-    problem = declared(read, catalogue.module(read.problem, problem_file))
+    module = catalogue.module(read.problem, problem_file)
+    problem = declared(read, module)
     estimate = solve(problem, method_of(method))
-    found = simulated(read, problem, estimate, seed, _effects(effects))
+    found = simulated(read, problem, estimate, seed, _effects(effects), getattr(module, "in_columns", None))
     truth = [{"name": name, "value": value, "unit": unit} for name, (value, unit) in found.truth.items()]
     origin = provenance([*read.files, *([problem_file] if problem_file else [])], typed(), seed)
     content = {"format": 1, "problem": read.problem, "seed": seed, "effects": dict(_effects(effects)), "truth": truth,

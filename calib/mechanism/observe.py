@@ -15,6 +15,7 @@ from calib import geometry
 from calib.effect import hands_slots_to
 from calib.errors import InputError
 from calib.mechanism.axis import Array
+from calib.observations import Observations
 
 Model = Callable[..., Any]     # the builders below return the same model for the same pose, so that it is traced once
 
@@ -47,6 +48,22 @@ def pose_readings(translations: ArrayLike, rotations: ArrayLike, near: ArrayLike
         return np.concatenate([places, np.zeros_like(places)], axis=1)
     away = [geometry.rotation_vector(n.T @ r) for n, r in zip(np.asarray(near, float), turns, strict=True)]
     return np.concatenate([places, np.array(away)], axis=1)
+
+
+def pose_columns(observations: Observations, near: str = "near") -> dict[str, Array]:
+    """Measured poses as a file has them, {"x", "y", "z" [m], "qw", "qx", "qy", "qz": (n,)}: `pose_readings` undone.
+
+    observations: with readings (n, 6), of a model with an argument `near`.
+    """
+    bound = next(a for a in observations.arguments if a.name == near)
+    rotations, readings = bound.data.reshape(-1, 3, 3).transpose(0, 2, 1), observations.recorded
+    quaternions = []
+    for rotation, vector in zip(rotations, readings[:, 3:], strict=True):
+        angle = float(np.linalg.norm(vector))
+        turn = geometry.rotation_about(vector / angle, angle) if angle > 0 else np.eye(3)
+        quaternions.append(quaternion(rotation @ turn))
+    columns = [*readings[:, :3].T, *np.array(quaternions).T]
+    return dict(zip(("x", "y", "z", "qw", "qx", "qy", "qz"), columns, strict=True))
 
 
 @lru_cache(maxsize=256)

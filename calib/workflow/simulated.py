@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,8 @@ from calib.problem import Problem
 from calib.settings import signed_quantity
 from calib.solve.estimate import Estimate, simulate
 from calib.table import Table
+
+InColumns = Callable[[Observations], tuple[str, Mapping[str, Any]] | None]
 
 
 @dataclass(frozen=True)
@@ -31,11 +33,13 @@ class Simulated:
     truth: Mapping[str, tuple[float, str]]
 
 
-def simulated(job: Job, problem: Problem, estimate: Estimate, seed: int, effects: Mapping[str, str]) -> Simulated:
+def simulated(job: Job, problem: Problem, estimate: Estimate, seed: int, effects: Mapping[str, str],
+              in_columns: InColumns | None = None) -> Simulated:
     """Draw readings of a job from its estimate, with effects switched on.
 
     job: as read; problem: its problem; estimate: taken as the truth; seed: of the errors; effects: {effect, or
-    effect.parameter: value with unit}.
+    effect.parameter: value with unit}; in_columns: of the problem module, for readings that are no column of a table
+    as they are: observations -> (table, {column: (n,) in SI}), or None for a group that it does not know.
     return: the tables with simulated readings.
     raises InputError for an effect, parameter or unit that is not there.
     """
@@ -48,13 +52,19 @@ def simulated(job: Job, problem: Problem, estimate: Estimate, seed: int, effects
         if before.is_prior or before.readings is None:
             continue
         place = _place(before, job.tables)
-        if place is None:
+        written = in_columns(after) if place is None and in_columns else None
+        if place is not None:
+            name, headers = place
+            rows, readings = _one_row_each(after)
+            filled = dict(zip(headers, readings.T, strict=True))
+        elif written is not None:
+            name, rows = written[0], after.rows
+            filled = {tables[name].column(column).header: reading for column, reading in written[1].items()}
+        else:
             loose[before.group] = after
             continue
-        assert after.readings is not None
-        name, headers = place
-        for component, header in enumerate(headers):
-            tables[name] = _with_column(tables[name], header, before.rows, after.readings[:, component])
+        for header, column in filled.items():
+            tables[name] = _with_column(tables[name], header, rows, column)
     return Simulated(tables, loose, _truth(problem, values))
 
 
@@ -93,14 +103,14 @@ def _set(problem: Problem, values: dict[Any, Any], name: str, text: str) -> None
 
 def _place(observations: Observations, tables: Mapping[str, Table]) -> tuple[str, list[str]] | None:
     """The table and the columns whose numbers are the readings, component by component."""
-    assert observations.readings is not None
+    of_row, readings = _one_row_each(observations)
     for name, table in tables.items():
-        if not np.isin(observations.rows, table.row_numbers).all():
+        if not np.isin(of_row, table.row_numbers).all():
             continue
-        rows = np.searchsorted(table.row_numbers, observations.rows)
+        rows = np.searchsorted(table.row_numbers, of_row)
         numbers = dict(_numbers(table))
-        headers = []
-        for component in observations.readings.T:
+        headers: list[str] = []
+        for component in readings.T:
             equal = [header for header, column in numbers.items() if np.array_equal(column[rows], component)]
             if len(equal) != 1:
                 break
@@ -108,6 +118,15 @@ def _place(observations: Observations, tables: Mapping[str, Table]) -> tuple[str
         else:
             return name, headers
     return None
+
+
+def _one_row_each(observations: Observations) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the table, their readings side by side: where each row holds the same number of readings (six legs)."""
+    rows, readings = np.asarray(observations.rows), observations.recorded
+    once, counts = np.unique(rows, return_counts=True)
+    if counts.min() == counts.max() > 1 and np.array_equal(rows, np.repeat(once, counts)):
+        return once, readings.reshape(len(once), -1)
+    return rows, readings
 
 
 def _numbers(table: Table) -> Any:
