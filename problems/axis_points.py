@@ -19,9 +19,22 @@ import numpy as np
 from casadi import atan2, cos, pi, sin, sqrt, vertcat
 from numpy.typing import ArrayLike
 
-from calib import Effect, Observations, Parameter, Problem, Quantity, Unknown, direct, hands_slots_to, prior, simulate
+from calib import (
+    Effect,
+    Estimate,
+    Observations,
+    Parameter,
+    Problem,
+    Quantity,
+    Unknown,
+    direct,
+    hands_slots_to,
+    prior,
+    simulate,
+)
 from calib.errors import InputError
 from calib.job import Job
+from calib.scene import Points, Scene, Sights
 from calib.table import Table
 from calib.units import arcsec, degree, minute, mm, um
 from instruments import theodolite
@@ -364,3 +377,19 @@ u_H = "1 arcsec"
 u_V = "1 arcsec"
 
 """
+
+
+def scene(job: Job, estimate: Estimate) -> Scene:
+    """The theodolite, the points of the axis that it saw, and its lines of sight."""
+    problem, told = estimate.problem, {one.text("id"): one for one in job.known.tables("targets")}
+    seen: dict[str, np.ndarray] = {}
+    for name, dim in (("filament", 1), ("centre", 2)):
+        for unknown in problem.unknowns:
+            if unknown.name == name:
+                angles = np.reshape(estimate[unknown], (-1, dim))
+                seen |= {key: np.append(one, pi / 2)[:2] for key, one in zip(unknown.keys, angles, strict=True)}
+    # A circle counts clockwise: x ahead at zero, y to the left.
+    places = [told[key].quantity("L", "length") * np.array([np.sin(v) * np.cos(h), -np.sin(v) * np.sin(h), np.cos(v)])
+              for key, (h, v) in seen.items()]
+    return Scene((Points("theodolite", np.zeros((1, 3)), ("theodolite",)), Points("axis points", places, list(seen)),
+                  Sights("circle readings", np.zeros(3), places)))

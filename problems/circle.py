@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from calib import (
     Direction,
     Effect,
+    Estimate,
     Gaussian,
     Observations,
     Parameter,
@@ -28,7 +29,9 @@ from calib import (
     direct,
     simulate,
 )
+from calib.analyse.shapes import scene as follows
 from calib.geometry import cross, dot, unit
+from calib.scene import Points, Scene, Track
 from calib.units import arcsec, degree, hour, minute, mm, um
 from instruments import influence, laser_tracker
 from problems import algebraic_circle, circle_formulations, measured_points
@@ -176,3 +179,13 @@ def example_job(seed: int) -> dict[str, str]:
                     '[instruments.tracker]\nkind = "laser_tracker"\nsigma_range_um = 2.0\nsigma_azimuth_arcsec = 1.0\n'
                     'sigma_zenith_arcsec = 1.0\n\n[report]\nquantities = ["centre", "radius", "angle"]\n',
         "points.csv": f"# source: simulated, seed {seed}\ni,command_deg,x_mm,y_mm,z_mm\n" + "\n".join(lines) + "\n"}
+
+
+def scene(job: Job, estimate: Estimate) -> Scene:
+    """The points as measured, the circle through them, its centre with its uncertainty and its axis."""
+    measured, problem = estimate.problem.observations[0], estimate.problem
+    centre, normal, radius = (estimate[problem.select(name).unknown] for name in ("centre", "normal", "radius"))
+    first, second = np.linalg.svd(np.reshape(normal, (1, 3)))[2][1:]
+    angle = np.linspace(0.0, 2.0 * np.pi, 73)
+    around = np.ravel(centre) + float(radius) * (np.outer(np.cos(angle), first) + np.outer(np.sin(angle), second))
+    return Scene((*follows(estimate.fit).shapes, Points("measured", measured.recorded), Track("circle", around)))

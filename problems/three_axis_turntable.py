@@ -21,7 +21,9 @@ from calib.mechanism import Frame, Mechanism, Rotary, encoder_harmonic, error_mo
 from calib.mechanism.heldout import in_order, misses, postures, rms
 from calib.mechanism.inputs import checked_positions
 from calib.mechanism.relation import crossing
+from calib.mechanism.scene import measured
 from calib.mechanism.start import place_of_points
+from calib.scene import Scene
 from calib.units import arcsec, degree, mm, um
 
 accepts = ("problems.three_axis_turntable",)
@@ -139,3 +141,12 @@ def example_job(seed: int) -> dict[str, str]:
     job = 'problem = "problems.three_axis_turntable"\n\n[data.points]\nfile = "points.csv"\n\n[options]\nu = "5 um"\n' \
           'free = ["encoder_1x_C"]\n'
     return {"job.toml": job, "points.csv": "\n".join(lines) + "\n"}
+
+
+def scene(job: Job, estimate: Estimate) -> Scene:
+    """The axes, the reflectors with their uncertainty, where they were measured and the tracker."""
+    problem = estimate.problem
+    reflector, tracker = (problem.select(name).unknown for name in ("reflector", "tracker_from_base"))
+    index = [reflector.keys.index(name) for name in job.table("points").text("reflector")]
+    return measured(turntable(), estimate.fit, "table", _positions(job), np.asarray(estimate[reflector])[index],
+                    tracker, reflector)

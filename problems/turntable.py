@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from calib import (
     Direction,
     Effect,
+    Estimate,
     Gaussian,
     Observations,
     Problem,
@@ -25,9 +26,11 @@ from calib import (
     hands_slots_to,
     simulate,
 )
+from calib.analyse.shapes import scene as follows
 from calib.errors import InputError
 from calib.geometry import cross
 from calib.job import MEASUREMENTS
+from calib.scene import Points, Scene, Sights
 from calib.units import arcsec, degree, minute, mm, um
 from instruments import laser_tracker
 from problems import algebraic_circle, measured_points
@@ -258,3 +261,10 @@ def reproduce() -> Reproduction:
     from problems import turntable_published
 
     return turntable_published.reproduce()
+
+
+def scene(job: Job, estimate: Estimate) -> Scene:
+    """The reflectors as seen from the tracker, the centre with its uncertainty, and the axis."""
+    seen = laser_tracker.cartesian_readings(estimate.problem.observations[0].recorded)
+    return Scene((*follows(estimate.fit).shapes, Points("reflectors as measured", seen),
+                  Points("tracker", np.zeros((1, 3)), ("tracker",)), Sights("tracker", np.zeros(3), seen)))

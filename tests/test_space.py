@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from calib import Direction, Observations, Problem, Unknown, linearise, predict, solve
+from calib import Direction, Effect, Observations, Parameter, Problem, Unknown, direct, linearise, predict, solve
 from calib.analyse.shapes import scene
 from calib.errors import DeclarationError
 from calib.report.space import space
@@ -44,6 +44,18 @@ def test_points_with_their_covariance_and_lines_of_sight_follow_from_the_declara
     expected = covariance(linearise(estimate), place[1]).matrix
     assert np.array_equal(points["place"].covariance[1], expected)
     assert len(sights.ends) == 8
+
+
+def test_parameters_of_an_effect_are_no_points():
+    shift = Effect("centring", "offset", lambda value, p: p.x + p.y,
+                   (Parameter("x", "mm", (1e-4, 1e-2)), Parameter("y", "mm", (1e-4, 1e-2))))
+    place = Unknown("place", [1.0, 2.0], "mm", parts=("x", "y"))
+
+    def seen(p, *, offset=direct):
+        return [offset(p[0]), p[1]]
+
+    problem = Problem([Observations(seen, place, readings=[[1.0, 2.0]], u=1e-3)], effects=[shift])
+    assert [one.name for one in scene(linearise(solve(problem))).shapes] == ["place"]
 
 
 def test_a_direction_is_drawn_through_the_point_it_belongs_to():

@@ -28,12 +28,21 @@ def scene(fit: Linearisation) -> Scene:
     unknowns = fit.layout.unknowns
     if any(one.kind in ("pose", "rotation") for one in unknowns):
         return Scene(())
-    points = [points_of(fit, one) for one in unknowns if is_place(one)]
-    return Scene((*points, *_axes(fit, unknowns), *sights(fit, points)))
+    points = [points_of(fit, one) for one in places_in(fit)]
+    return Scene((*points, *_axes(fit), *sights(fit, points)))
 
 
-def is_place(unknown: Unknown) -> bool:
-    """Whether an unknown is a point or several: its parts begin with x, y of a length, and z if there is more."""
+def places_in(fit: Linearisation) -> list[Unknown]:
+    """The unknowns that are points: their parts begin with x, y of a length, and z if there is more.
+
+    fit: a linearisation.
+    return: the unknowns, none of them parameters of an effect.
+    """
+    parameters = set(fit.effects.values())
+    return [one for one in fit.layout.unknowns if one not in parameters and _is_place(one)]
+
+
+def _is_place(unknown: Unknown) -> bool:
     parts, dim = unknown.parts, 2 if len(unknown.parts) == 2 else 3
     return (unknown.kind == "vector" and parts[:dim] == ("x", "y", "z")[:dim]
             and all(units.dimension(unit) == "length" for unit in unknown.units[:dim]))
@@ -89,10 +98,10 @@ def sights(fit: Linearisation, points: Sequence[Points]) -> Iterator[Sights]:
             yield Sights(group.name, first, second)
 
 
-def _axes(fit: Linearisation, unknowns: Sequence[Unknown]) -> Iterator[Axes]:
+def _axes(fit: Linearisation) -> Iterator[Axes]:
     """Directions drawn through the one point that comes in the same number."""
-    for direction in unknowns:
-        own = [one for one in unknowns if is_place(one) and one.count == direction.count]
+    for direction in fit.layout.unknowns:
+        own = [one for one in places_in(fit) if one.count == direction.count]
         if direction.kind == "direction" and len(own) == 1:
             through = np.asarray(fit.values[own[0]], float).reshape(direction.count, -1)[:, :3]
             keys = direction.keys if direction.count > 1 else (direction.name,)
