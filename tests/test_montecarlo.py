@@ -25,6 +25,7 @@ from calib.errors import CalibrationError
 from calib.linearisation import linearise_system
 from calib.system import System
 from calib.workflow.montecarlo import Adaptive
+from calib.workflow.propagation import verdict
 from calib.workflow.trials import BLOCK, LargeTrials, SmallTrials, trials_of
 
 
@@ -244,3 +245,40 @@ def test_a_limit_of_trials_is_kept_and_said():
     estimate = solve(problem.with_quantities(Quantity("offset", lambda a: a, offset)))
     result = montecarlo(estimate, Adaptive(digits=4, largest=30_000), seed=14)
     assert len(result.samples) == 30_000 and not result.stability.reached
+
+
+# --- bounds -------------------------------------------------------------------------------------------------------
+
+
+def test_trials_keep_to_the_bounds_of_the_unknowns():
+    # a is read as 0.5 +- 1 and cannot be negative: its estimate is the larger of the reading and zero, which is zero
+    # with the probability of a normal variable below -0.5, and b = reading - a follows a where a leaves the bound.
+    a, b = Unknown("a", 0.5, lower=0.0), Unknown("b", 1.0)
+    problem = Problem(
+        [Observations(lambda a: a, a, readings=[0.5], u=1.0, group="a"),
+         Observations(lambda a, b: a + b, a, b, readings=[2.0], u=1e-3, group="sum")],
+        quantities=[Quantity("a", lambda a: a, a), Quantity("b", lambda b: b, b)])
+    result = montecarlo(solve(problem), 20_000, seed=20)
+    a, b = result.samples.T
+    assert result.failures == 0
+    assert a.min() == 0.0
+    assert np.mean(a == 0.0) == pytest.approx(0.3085, abs=4 * np.sqrt(0.31 * 0.69 / 20_000))
+    assert a.mean() == pytest.approx(0.69780, abs=4 * a.std() / np.sqrt(20_000))  # 0.5 Phi(0.5) + phi(0.5)
+    assert np.abs(a + b - 2.0).max() < 5e-3
+    system = System(problem)
+    single = [solve(simulate(problem, dict(zip(system.layout.unknowns, (0.5, 1.5))), seed))["a"]
+              for seed in range(40)]
+    assert min(single) == 0.0
+    assert np.mean(np.array(single) == 0.0) == pytest.approx(0.31, abs=0.3)
+
+
+def test_an_estimate_at_its_bound_is_not_called_valid_where_samples_leave_it():
+    a = Unknown("a", 0.5, lower=0.0)
+    problem = Problem([Observations(lambda a: a, a, readings=[-0.2], u=1.0)],
+                      quantities=[Quantity("a", lambda a: a, a)])
+    estimate = solve(problem)
+    assert estimate["a"] == 0.0
+    result = montecarlo(estimate, 2_000, seed=21)
+    assert 0.4 < np.mean(result.samples == 0.0) < 0.6
+    interval = result.interval_symmetric()[0]
+    assert verdict(result.linear[0], result.linear_u[0], interval, 2_000) == "not valid"

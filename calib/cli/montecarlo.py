@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,22 +13,34 @@ import numpy as np
 
 from calib import catalogue, files, units
 from calib.cli.output import DONE, FAILED, Output, job_options, output_options, typed
+from calib.cli.place import place_options
 from calib.cli.solve import content_of, method_of, method_option
+from calib.errors import CalibrationError
 from calib.job import Job
 from calib.report import numbers
-from calib.workflow.montecarlo import MonteCarlo
-from calib.workflow.propagation import CHUNK, propagated, sampled, verdict
+from calib.workflow.montecarlo import Adaptive, MonteCarlo
+from calib.workflow.places import Place, Threads
+from calib.workflow.propagation import STEPS, departures, propagated, sampled, tolerance, verdict
 from calib.workflow.solution import requested, solved
+
+USUAL_DIGITS = 2
+LARGEST = 10_000_000
+CORRELATED = 100     # results up to which montecarlo.json holds their correlations; samples.npz has all
 
 
 @click.command()
 @job_options
-@click.option("--trials", type=click.IntRange(100, 100_000_000), default=20_000, show_default=True)
+@click.option("--trials", type=click.IntRange(100, 100_000_000), default=None,
+              help=f"How many; 20000 if not given. With --digits: at most ({LARGEST} if not given).")
+@click.option("--digits", type=click.IntRange(1, 4), default=None,
+              help="Go on until every result stands still to so many digits of u (JCGM 101, 7.9).")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
 @method_option
+@place_options
 @output_options
 def montecarlo(
-    job: Path, data_folder: Path | None, problem_file: Path | None, trials: int, seed: int, method: str, output: Output
+    job: Path, data_folder: Path | None, problem_file: Path | None, trials: int | None, digits: int | None, seed: int,
+    method: str, workers: int | None, scheduler: str | None, output: Output,
 ) -> int:
     """Solve JOB, then solve it again with readings drawn anew around the estimate, trial after trial.
 
@@ -36,25 +50,38 @@ def montecarlo(
     from calib.report.provenance import provenance
 
     read = Job.read(job, data_folder)
-    solution = solved(read, catalogue.module(read.problem, problem_file), method_of(method))
-    wanted = sampled(solution.problem, requested(solution.problem, read.quantities, read.report.where("quantities")))
-    with output.progress(f"{trials} trials", -(-trials // CHUNK)) as step:
-        found = propagated(solution.estimate, trials, seed, wanted, step)
-    rows = quantities(found)
+    number = Adaptive(digits, largest=trials or LARGEST) if digits else trials or 20_000
+    what = f"at most {trials or LARGEST} trials" if digits else f"{number} trials"
+    with _place(read, problem_file, workers, scheduler) as place:
+        solution = solved(read, catalogue.module(read.problem, problem_file), method_of(method))
+        results = requested(solution.problem, read.quantities, read.report.where("quantities"))
+        with output.progress(what, STEPS) as step:
+            found = propagated(solution.estimate, number, seed, sampled(solution.problem, results), step, place)
+    if not len(found.samples):
+        raise CalibrationError(f"{solution.problem.name}: no trial converged; the readings hardly hold the unknowns, "
+                               "or the estimate is no minimum")
+    rows = quantities(found, digits or USUAL_DIGITS)
     origin = provenance([*read.files, *([problem_file] if problem_file else [])], typed(), seed)
     content = {
-        "format": 1, "problem": read.problem, "job": read.path.name, "trials": trials, "failures": found.failures,
-        "seed": seed, **content_of(solution), "quantities": rows, "provenance": origin.content(),
+        "format": 1, "problem": read.problem, "job": read.path.name, "trials": len(found.samples) + found.failures,
+        "failures": found.failures, "seed": seed, **content_of(solution), "quantities": rows,
+        "correlation": {"names": found.names, "matrix": found.correlation} if len(rows) <= CORRELATED else None,
+        "stability": None if found.stability is None else {"digits": digits, "reached": found.stability.reached},
+        "provenance": origin.content(),
     }
     output.result(content)
-    output.say(f"{solution.problem.name}: {trials} trials, seed {seed}, {found.failures} did not converge; shortest "
-               "95% intervals\n")
+    output.say(f"{solution.problem.name}: {content['trials']} trials, seed {seed}, {found.failures} did not converge; "
+               "shortest 95% intervals\n")
     width = max(len(str(row["name"])) for row in rows)
     for row in rows:
         mean, u = numbers.with_uncertainty(row["mean"], row["u"])
         low, high = (numbers.with_uncertainty(end, row["u"])[0] for end in row["interval_shortest"])
         output.say(f"  {row['name']:<{width}}  {mean}, u = {u}, [{low}, {high}] {row['unit']}; linear result: "
                    f"{row['verdict']}")
+    if found.stability is not None and not found.stability.reached:
+        output.say()
+        output.prose(f"{content['trials']} trials are not enough for {digits} digit(s) of every u; allow more with "
+                     "--trials, or ask for fewer.")
     if output.folder is not None:
         packed = io.BytesIO()
         scale = [units.factor(unit) for unit in found.units]
@@ -70,20 +97,39 @@ def montecarlo(
     return DONE if passed else FAILED
 
 
-def quantities(found: MonteCarlo) -> list[dict[str, Any]]:
+@contextmanager
+def _place(job: Job, problem_file: Path | None, workers: int | None, scheduler: str | None) -> Iterator[Place]:
+    """Who makes the trials: the threads of this program, or the workers of a scheduler."""
+    if scheduler is None:
+        yield Threads(workers)
+        return
+    from calib.workflow.distributed import Distributed, connected
+    from calib.workflow.parcel import packed
+
+    parcel, contents = packed(job, problem_file)
+    with connected(scheduler) as there:
+        yield Distributed(there, parcel, contents)
+
+
+def quantities(found: MonteCarlo, digits: int = USUAL_DIGITS) -> list[dict[str, Any]]:
     """The entries of montecarlo.json, in display units.
 
-    found: the samples.
-    return: one entry a result.
+    found: the samples; digits: of u to which the linear result is judged.
+    return: one entry a result: d_low, d_high and tolerance as in JCGM 101, 8.1; after an adaptive run also how far
+    mean, u and both ends of the interval still move.
     """
     shortest, symmetric = found.interval_shortest(), found.interval_symmetric()
     entries = []
     for i, (name, unit) in enumerate(zip(found.names, found.units)):
         scale = units.factor(unit)
+        low, high = departures(found.linear[i], found.linear_u[i], symmetric[i])
         entries.append({
             "name": name, "unit": unit, "mean": found.mean[i] / scale, "u": found.u[i] / scale,
             "interval_shortest": list(shortest[i] / scale), "interval_symmetric": list(symmetric[i] / scale),
             "trials": len(found.samples), "linear": found.linear[i] / scale, "linear_u": found.linear_u[i] / scale,
-            "verdict": verdict(found.linear[i], found.linear_u[i], symmetric[i], len(found.samples)),
+            "d_low": low / scale, "d_high": high / scale,
+            "tolerance": tolerance(found.linear_u[i], digits) / scale, "digits": digits,
+            "verdict": verdict(found.linear[i], found.linear_u[i], symmetric[i], len(found.samples), digits),
+            **({} if found.stability is None else {"moves": list(found.stability.spread[i] / scale)}),
         })
     return entries

@@ -5,8 +5,9 @@ from __future__ import annotations
 import shlex
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import click
 from calib import files
 
 DONE, FAILED, INPUT, STOPPED = 0, 1, 2, 130
+WORDS: ContextVar[Sequence[str] | None] = ContextVar("words", default=None)     # of a command that another one runs
 PAGE = 100      # characters of a line of prose
 
 
@@ -108,4 +110,4 @@ def job_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def typed() -> str:
     """The command as it was typed, without the folder of the program."""
-    return shlex.join(["calib", *sys.argv[1:]])
+    return shlex.join(["calib", *(WORDS.get() or sys.argv[1:])])

@@ -130,23 +130,43 @@ def connected(address: str) -> Iterator[Scheduler]:
         import distributed
     except ImportError:
         raise InputError(f"--scheduler needs the library `distributed`; install it: {INSTALL}") from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is said in a sentence
-    client = None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of versions that differ: what cannot work says so
-            try:
-                client = distributed.Client(address, timeout=ANSWER, set_as_default=False)
-            except (OSError, ValueError, TypeError, RuntimeError) as error:
-                raise InputError(f"no scheduler answers at '{address}' ({_first(error)}); start one (dask scheduler), "
-                                 "check the address (such as tcp://10.0.0.7:8786), or leave --scheduler out") from None
+
+    for name in list(logging.root.manager.loggerDict):  # what matters is said in a sentence
+        if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of versions that differ: what cannot work says so
+        client = _client(distributed.Client, address)
+        try:
             scheduler = Scheduler(address, client)
             if not _within(ANSWER, lambda: scheduler.workers > 0):
                 raise InputError(f"the scheduler at {address} has no workers; start some: dask worker {address}")
             yield scheduler
-    finally:
-        if client is not None:
+        finally:
             client.close(timeout=2.0)
+
+
+def _client(of_dask: Any, address: str) -> Any:
+    class Client(of_dask):  # type: ignore[misc]
+        def __del__(self) -> None:
+            """Half made where nobody answers, a client would wait long for its end, and then complain."""
+
+    found: list[Any] = []
+
+    def connect() -> None:
+        try:
+            found.append(Client(address, timeout=ANSWER, set_as_default=False))
+        except Exception as error:  # whatever sits at a wrong address may answer anything
+            found.append(error)
+
+    attempt = threading.Thread(target=connect, daemon=True)  # another server may take the call and say nothing
+    attempt.start()
+    attempt.join(2.0 * ANSWER)
+    if found and not isinstance(found[0], Exception):
+        return found[0]
+    why = _first(found[0]) if found else "something else took the call"
+    raise InputError(f"no scheduler answers at '{address}' ({why}); start one (dask scheduler), check the address "
+                     "(such as tcp://10.0.0.7:8786), or leave --scheduler out")
 
 
 def _first(error: Exception) -> str:

@@ -1,4 +1,4 @@
-"""Trials in lanes: all trials of a batch re-solved side by side, for any problem without inequalities."""
+"""Trials in lanes: all trials of a batch re-solved side by side, for any problem whose constraints are equalities."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ class Lanes:
     def __init__(self, system: System, weightings: Sequence[Weighting], expected: int):
         self.system, self.weightings, self._expected = system, weightings, expected
         self.size = len(system.layout.free_columns)
+        self._bounded = [u for u in system.layout.unknowns if is_bounded(u)]
 
     def run(self, term: Term, wanted: tuple[bool, ...], values: dict[Unknown, Array], trials: int) -> Array:
         """Outputs (outputs, trials n) of a row function, compiled where all the trials together repay it."""
@@ -79,7 +80,11 @@ class Lanes:
     def solve(
         self, start: dict[Unknown, Array], readings: Sequence[Array], trials: int
     ) -> tuple[dict[Unknown, Array], NDArray[np.bool_]]:
-        """Stored values (trials count, width) of all unknowns after Gauss-Newton, and which trials converged."""
+        """Stored values (trials count, width) of all unknowns after Gauss-Newton, and which trials converged.
+
+        A trial that comes to a bound goes on along it, and leaves it where its readings pull away (projected steps;
+        Bertsekas, 1982, SIAM J. Control and Optimization 20).
+        """
         layout = self.system.layout
         values = {u: np.tile(v, (trials, 1)) for u, v in start.items()}
         remaining = np.full(trials, np.inf)
@@ -94,18 +99,38 @@ class Lanes:
             saddle[:, : self.size, : self.size] = matrix.transpose(0, 2, 1) @ matrix
             saddle[:, self.size :, : self.size] = conditions
             saddle[:, : self.size, self.size :] = conditions.transpose(0, 2, 1)
-            right = np.concatenate([(matrix.transpose(0, 2, 1) @ residual[..., None])[..., 0], -excess], axis=1)
+            pull = (matrix.transpose(0, 2, 1) @ residual[..., None])[..., 0]
+            right = np.concatenate([pull, -excess], axis=1)
+            low, high = self._room(values, trials)
+            if self._bounded:
+                trial, column = np.nonzero(((low >= 0) & (pull < 0)) | ((high <= 0) & (pull > 0)))
+                saddle[trial, column], saddle[trial, :, column] = 0.0, 0.0
+                saddle[trial, column, column], right[trial, column] = 1.0, 0.0
             step = np.linalg.solve(saddle, right[..., None])[:, : self.size, 0]
             previous, remaining = remaining, np.linalg.norm((matrix @ step[..., None])[..., 0], axis=1)
-            step /= scale
+            step = np.clip(step / scale, low, high) if self._bounded else step / scale
             full = np.zeros((trials, layout.size))
             full[:, layout.free_columns] = step
             for unknown in layout.unknowns:
                 moved = full[:, layout.span(unknown)].reshape(trials * unknown.count, unknown.freedom)
                 values[unknown] = unknown.move(values[unknown], moved)
+            for unknown in self._bounded:  # exactly there, so that the next step sees it
+                least, most = (np.tile(limit, (trials, 1)) for limit in (unknown.lower, unknown.upper))
+                held = np.tile(~layout.free[layout.span(unknown)].reshape(unknown.count, -1), (trials, 1))
+                values[unknown] = np.where(held, values[unknown], np.clip(values[unknown], least, most))
             if np.all((remaining < 1e-8) | ((remaining < 1e-5) & (remaining > 0.3 * previous))):
                 break
         return values, remaining < 1e-5
+
+    def _room(self, values: dict[Unknown, Array], trials: int) -> tuple[Array, Array]:
+        """Room (trials, p) of the free columns down to the lower and up to the upper bound."""
+        layout = self.system.layout
+        low, high = np.full((trials, layout.size), -np.inf), np.full((trials, layout.size), np.inf)
+        for unknown in self._bounded:
+            here = values[unknown].reshape(trials, unknown.count, unknown.freedom)
+            low[:, layout.span(unknown)] = (unknown.lower - here).reshape(trials, -1)
+            high[:, layout.span(unknown)] = (unknown.upper - here).reshape(trials, -1)
+        return low[:, layout.free_columns], high[:, layout.free_columns]
 
     def functions(self, quantities: Sequence[Quantity], values: dict[Unknown, Array], trials: int) -> Array:
         """Values (trials, k) of quantities."""
@@ -115,6 +140,11 @@ class Lanes:
             result = self.run(term, (False,) * len(term.feeds), values, trials)
             pieces.append(result.reshape(term.dim, trials, term.n).transpose(1, 2, 0).reshape(trials, -1))
         return np.concatenate(pieces, axis=1)
+
+
+def is_bounded(unknown: Unknown) -> bool:
+    """Whether an unknown has a finite bound."""
+    return unknown.kind == "vector" and bool(np.isfinite(unknown.lower).any() or np.isfinite(unknown.upper).any())
 
 
 def _unwrap(term: Term[Observations], residual: Array) -> None:

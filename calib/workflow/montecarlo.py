@@ -17,6 +17,7 @@ from calib.unknown import Unknown
 from calib.workflow.places import Place, Sampling, Threads
 from calib.workflow.trials import prepared
 
+CHUNK = 100_000  # samples that are correlated at a time
 USUAL = 200_000  # trials that stabilise two digits of most results
 
 
@@ -87,6 +88,17 @@ class MonteCarlo:
     def u(self) -> Array:
         """Standard deviation (k,) of the samples."""
         return self.samples.std(axis=0, ddof=1)
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation (k, k) of the samples; 0 beside a result that never changes."""
+        u, mean = self.u, self.mean
+        scale, found = np.where(u > 0, u, 1.0), np.zeros((len(u), len(u)))
+        for begin in range(0, len(self.samples), CHUNK):  # no second copy of all samples
+            centred = (self.samples[begin : begin + CHUNK] - mean) / scale
+            found += centred.T @ centred / max(1, len(self.samples) - 1)
+        np.fill_diagonal(found, 1.0)
+        return found
 
     def interval_symmetric(self, probability: float = 0.95) -> Array:
         """Probabilistically symmetric coverage interval (k, 2)."""

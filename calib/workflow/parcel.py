@@ -48,7 +48,7 @@ class Parcel:
         raises InputError where a content is not what its hash says, or the job cannot be read.
         """
         for name, digest in self.files.items():
-            written = _bytes(contents[digest])
+            written = in_bytes(contents[digest])
             place = PurePosixPath(name)
             if hashlib.sha256(written).hexdigest() != digest or place.is_absolute() or ".." in place.parts:
                 raise InputError(f"{name}: arrived damaged; send the job again")
@@ -70,12 +70,12 @@ def packed(job: Job, problem_file: Path | None = None) -> tuple[Parcel, dict[str
     """
     beside = {_plain(path) for path in job.files}
     data: dict[str, Path] = {}
-    for name, path in _named(job):
-        if path.is_relative_to(_plain(job.path).parent):
+    for name, path, is_beside in _named(job):
+        if is_beside:
             beside.add(path)
         else:
             data[name] = path
-    root = Path(os.path.commonpath([path.parent for path in beside]))
+    root = Path(os.path.commonpath([path.parent for path in beside])).parent
     places = {(PurePosixPath("job") / path.relative_to(root).as_posix()).as_posix(): path for path in sorted(beside)}
     places |= {f"data/{name}": path for name, path in data.items()}
     if problem_file is not None:
@@ -91,7 +91,7 @@ def packed(job: Job, problem_file: Path | None = None) -> tuple[Parcel, dict[str
             raise InputError(f"{job.path}: reads more than {LARGEST / 1e6:.0f} MB, too much to send to other machines; "
                              "leave --scheduler out")
         digest = hashlib.sha256(read).hexdigest()
-        files[place], contents[digest] = digest, _text(read)
+        files[place], contents[digest] = digest, in_text(read)
     own = (PurePosixPath("job") / _plain(job.path).relative_to(root).as_posix()).as_posix()
     return Parcel(own, files, bool(data), f"own/{problem_file.name}" if problem_file is not None else ""), contents
 
@@ -100,8 +100,11 @@ def _plain(path: Path) -> Path:
     return Path(os.path.abspath(path))  # noqa: PTH100 - a link stays what it is called
 
 
-def _named(job: Job) -> Iterator[tuple[str, Path]]:
-    """Files that the settings of a job name, beside it or in a folder of data."""
+def _named(job: Job) -> Iterator[tuple[str, Path, bool]]:
+    """Files that the settings of a job name, as they are named, and whether they lie beside it or in a folder of data.
+
+    Names that mean this machine alone raise InputError.
+    """
     if job.path.suffix != ".toml":
         return
     folders = [_plain(job.path).parent]
@@ -109,12 +112,13 @@ def _named(job: Job) -> Iterator[tuple[str, Path]]:
     for text in _texts(tomllib.loads(job.path.read_text(encoding="utf-8-sig"))):
         if not text or len(text) > 1000 or "\n" in text:
             continue
-        found = next((folder / text for folder in folders if (folder / text).is_file()), None)
-        if found is not None:
-            if Path(text).is_absolute():
-                raise InputError(f"{job.path}: names '{text}' by its place on this machine; other machines have other "
-                                 "folders: write it relative to the job, or give its folder with --data")
-            yield text, _plain(found)
+        found = next((folder for folder in folders if (folder / text).is_file()), None)
+        if found is None:
+            continue
+        if Path(text).is_absolute() or (found != folders[0] and ".." in Path(text).parts):
+            raise InputError(f"{job.path}: names '{text}' by its place on this machine; other machines have other "
+                             "folders: write it relative to the job, or give its folder with --data")
+        yield text, _plain(found / text), found == folders[0]
 
 
 def _texts(settings: Any) -> Iterator[str]:
@@ -128,13 +132,15 @@ def _texts(settings: Any) -> Iterator[str]:
             yield from _texts(value)
 
 
-def _text(content: bytes) -> str:
+def in_text(content: bytes) -> str:
+    """Bytes as text, readable where they are UTF-8."""
     try:
         return "text:" + content.decode("utf-8")
     except UnicodeDecodeError:
         return "base64:" + base64.b64encode(content).decode("ascii")
 
 
-def _bytes(text: str) -> bytes:
+def in_bytes(text: str) -> bytes:
+    """The bytes that `in_text` was given."""
     kind, content = text.split(":", 1)
     return content.encode("utf-8") if kind == "text" else base64.b64decode(content)

@@ -16,7 +16,7 @@ from calib.observations import Quantity
 from calib.solve.unrolled import is_small, unrolled
 from calib.system import System
 from calib.unknown import Unknown
-from calib.workflow.lanes import STEPS, Lanes, mix
+from calib.workflow.lanes import STEPS, Lanes, is_bounded, mix
 
 BLOCK = 5_000  # trials of one stream of random numbers
 LANE_NUMBERS = 4_000_000  # numbers in the derivatives of one block where these are stored
@@ -45,7 +45,8 @@ def trials_of(
 
     system, fit: of the problem, linearised at the truth; quantities: results wanted; expected: number of trials.
     """
-    if is_small(system) and not fit.factor.defect:
+    bounded = any(is_bounded(u) and system.layout.free[system.layout.span(u)].any() for u in system.layout.unknowns)
+    if is_small(system) and not fit.factor.defect and not bounded:
         return SmallTrials(system, fit, truth, quantities, expected)
     return LargeTrials(system, fit, truth, quantities, expected)
 
