@@ -58,19 +58,23 @@ def region(estimate: Estimate, declared: Mapping[str, float] | None = None) -> R
     """The region around an estimate: half-widths that a problem declares, else the sizes of what is unknown.
 
     declared: {name of an unknown: half-width, SI}; None: the largest magnitude among unknowns of one unit, half a turn
-    for rotations and directions. Raises InputError where a name is no unknown.
+    for rotations and directions, what is still plausible for parameters of an effect. Raises InputError where a name is
+    no unknown.
     """
     layout = linearise(estimate).layout
+    of_effect = {one.unknown: [p.plausible[1] for p in one.effect.parameters] for one in estimate.problem.attached}
     half = np.zeros(layout.size)
     largest: dict[str, float] = {}
     for unknown in layout.unknowns:
-        if unknown.kind == "vector":
+        if unknown.kind == "vector" and unknown not in of_effect:
             for part, unit in enumerate(unknown.units):
                 size = float(np.abs(estimate.values[unknown][:, part]).max())
                 largest[unit] = max(largest.get(unit, 0.0), size)
     for unknown in layout.unknowns:
         width = np.full((unknown.count, unknown.freedom), np.pi)
-        if unknown.kind == "vector":
+        if unknown in of_effect:
+            width[:] = of_effect[unknown]
+        elif unknown.kind == "vector":
             width[:] = [largest[unit] or 1.0 for unit in unknown.units]
         elif unknown.kind == "pose":
             width[:, :3] = max(float(np.abs(estimate.values[unknown][:, :3]).max()), 1.0)
@@ -82,7 +86,8 @@ def region(estimate: Estimate, declared: Mapping[str, float] | None = None) -> R
     if wrong:
         raise InputError(f"the start region names '{wrong[0]}', which is no unknown; there are: {', '.join(names)}")
     words = ("the half-widths that the problem declares" if declared else
-             "as half-width the largest value among unknowns of the same unit, half a turn for rotations")
+             "as half-width the largest value among unknowns of the same unit, half a turn for rotations, what is still "
+             "plausible for effects")
     return Region(half, words)
 
 
