@@ -38,9 +38,9 @@ from calib.unknown import Selection
 from calib.workflow.compare.formulation import Formulation
 from instruments import coordinate_machine, influence, interferometer
 from problems import algebraic_base_point, base_point_bound, base_point_lines
-from problems.base_point_lines import Lines
+from problems.base_point_lines import Array, Lines
 
-Array = NDArray[np.float64]
+scene = base_point_lines.scene
 LENGTHENING, SHORTENING = 1.0, -1.0                    # the counting sense: what makes the reading grow
 COUNTS = {"lengthening": LENGTHENING, "shortening": SHORTENING}
 accepts = ("base_point", "base-point", "basepoint_multilateration")

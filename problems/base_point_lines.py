@@ -9,8 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calib import Estimate
+from calib.analyse.shapes import points_of
 from calib.errors import InputError
 from calib.job import Job
+from calib.scene import Points, Scene, Sights
 from calib.table import Table
 from problems.algebraic_base_point import Span
 from problems.recorded import recorded
@@ -137,3 +140,15 @@ def _travelled(points: Array, line: NDArray) -> Array:
         direction = Span.of(points[line == name]).axes[0]
         along[line == name] = direction * np.sign(direction[np.abs(direction).argmax()])
     return np.where(np.abs(along) < 1e-9, 0.0, along)
+
+
+def scene(job: Job, estimate: Estimate) -> Scene:
+    """The target points on their lines, the base points with their uncertainty, and who looked where.
+
+    job: of the readings; estimate: of its problem. Returns the scene in the machine's axes.
+    """
+    lines = of_case(job) if "lines" in job.known else of_job(job)
+    base = points_of(estimate.fit, estimate.problem.select("base_point").unknown)
+    keys = np.unique(lines.tracker).tolist()
+    seen = [Sights(str(key), base.places[i], lines.points[lines.tracker == key]) for i, key in enumerate(keys)]
+    return Scene((Points("targets", lines.points), base, *seen))

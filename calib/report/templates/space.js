@@ -43,7 +43,10 @@ for (const figure of document.querySelectorAll("figure.space")) {
     const taken = [];
     for (const name of names) {
       const [x, y] = place(name.parentElement.dataset.p.split(" ").map(v => v / 1e4), 0, size);
-      const box = [x, y - 16, x + 8 + 7 * name.textContent.length, y];
+      const long = 8 + 7 * name.textContent.length, left = x + long > width / 2;
+      name.setAttribute("text-anchor", left ? "end" : "start");
+      name.setAttribute("x", left ? -6 : 6);
+      const box = left ? [x - long, y - 16, x, y] : [x, y - 16, x + long, y];
       const free = taken.every(b => box[0] > b[2] || box[2] < b[0] || box[1] > b[3] || box[3] < b[1]);
       name.style.display = free ? "" : "none";
       if (free) taken.push(box);
