@@ -24,7 +24,7 @@ import numpy as np
 
 import calib
 from calib import A, Conic, D, Exchange, Observations, Problem, Relaxation, Unknown
-from calib.analyse.selection.exact import begun, enumerated
+from calib.analyse.selection.exact import enumerated
 from calib.analyse.selection.exchange import exchange
 from calib.analyse.selection.greedy import greedy
 from calib.analyse.selection.relaxation import relax

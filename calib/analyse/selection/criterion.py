@@ -10,7 +10,8 @@ import numpy as np
 
 from calib.analyse.covariance import refuse_what_cannot_be_known
 from calib.analyse.selection.candidates import Candidates
-from calib.analyse.selection.terms import Determinant, DeterminantOfSet, Largest, LargestOf, Term, Trace
+from calib.analyse.selection.terms import Determinant, DeterminantOfSet, Term, Trace
+from calib.analyse.selection.worst import Largest, LargestOf
 from calib.errors import InputError, RankDefect
 from calib.linearisation import Functions, Linearisation
 

@@ -11,16 +11,16 @@ from time import perf_counter
 
 import numpy as np
 
-from calib.analyse.selection.exchange import exchange
-from calib.analyse.selection.greedy import RIDGE, backward, greedy
+from calib.analyse.selection.floors import Checked
+from calib.analyse.selection.greedy import RIDGE
 from calib.analyse.selection.limits import Limits
 from calib.analyse.selection.objective import Objective
 from calib.analyse.selection.relaxation import Relaxed, relax
+from calib.analyse.selection.starts import rounded
 from calib.analyse.selection.terms import Determinant
 from calib.blocks import Array
 
 CHUNK = 20_000
-MANY = 2000      # candidates up to which a search may also go backward
 
 
 def subsets(limits: Limits, count: int) -> int:
@@ -55,53 +55,63 @@ def exhaustive(objective: Objective, limits: Limits) -> list[int]:
 
 @dataclass(frozen=True)
 class Searched:
-    """A choice, the loss that no choice falls below, and how many nodes were looked at."""
+    """A choice (None where there is none, proven if the bound is infinite), the loss that no choice falls below, and
+    how many nodes were looked at."""
 
-    chosen: list[int]
+    chosen: list[int] | None
     bound: float
     nodes: int
 
 
-def branch_and_bound(objective: Objective, limits: Limits, chosen: list[int], nodes: int, seconds: float,
-                     tolerance: float) -> Searched:
+def branch_and_bound(objective: Objective, limits: Limits, chosen: list[int] | None, nodes: int, seconds: float,
+                     tolerance: float, checked: Checked | None = None) -> Searched:
     """Search with a proof: relaxations of ever smaller sets of choices, until no part can hold a better one.
 
-    chosen: a choice to begin with; nodes, seconds: at most; tolerance: gap in the logarithm of the criterion that
-    counts as none. A candidate is fixed where the bound at the very weights of the relaxation shows that the other
-    way round cannot beat the best choice known.
+    chosen: a choice to begin with, if one is known; nodes, seconds: at most; tolerance: gap in the logarithm of the
+    criterion that counts as none; checked: floors that a choice must meet. A candidate is fixed where the linear
+    function that bounds a part shows that the other way round cannot beat the best choice known, and where floors that
+    more readings only help fail with all readings that are left.
     """
     begin, n = perf_counter(), objective.count
-    best, loss = sorted(chosen), objective.loss(chosen)
-    root = _node(objective, limits, np.zeros(n), np.ones(n), loss - tolerance)
+    best, loss = chosen, np.inf if chosen is None else objective.loss(chosen)
+    part = _narrowed(limits, checked, np.zeros(n), np.ones(n))
+    root = None if part is None else _node(objective, limits, *part, loss - tolerance)
     open_nodes: list[tuple[float, int, Array, Array, Relaxed]] = []
     count = 1
-    if root is not None:
-        heapq.heappush(open_nodes, (root.bound, 0, np.zeros(n), np.ones(n), root))
+    if part is not None and root is not None:
+        heapq.heappush(open_nodes, (root.bound, 0, *part, root))
     while open_nodes and count < nodes and perf_counter() - begin < seconds:
         bound, _, lower, upper, relaxed = heapq.heappop(open_nodes)
         if bound >= loss - tolerance:
             continue
-        found = _rounded(objective, limits, relaxed.weights, lower, upper)
-        if found is not None and (value := objective.loss(found)) < loss:
+        found = rounded(objective, limits, relaxed.weights, lower, upper)
+        if _fits(limits, checked, found) and (value := objective.loss(found)) < loss:
             best, loss = found, value
         lower, upper = _fixed_by_cost(relaxed, limits, lower, upper, loss - tolerance)
         free = upper > lower
-        if not free.any():
-            continue
-        place = int(np.argmin(np.where(free, np.abs(relaxed.weights - 0.5), np.inf)))
-        for side in (1.0, 0.0):
+        if free.any():
+            place = int(np.argmin(np.where(free, np.abs(relaxed.weights - 0.5), np.inf)))
+            halves = [(side, place) for side in (1.0, 0.0)]
+        else:
+            halves = [(lower[0], 0)]      # one choice is left
+        for side, place in halves:
             low, high = lower.copy(), upper.copy()
             low[place] = high[place] = side
-            low, high = _implied(limits, low, high)
-            if not limits.allow(low):
+            narrowed = _narrowed(limits, checked, low, high)
+            if narrowed is None:
                 continue
             count += 1
-            leaf = _leaf(limits, low, high)
-            if leaf is not None:
-                value = objective.loss(leaf)
-                if value < loss:
-                    best, loss = leaf, value
-                continue
+            low, high = narrowed
+            leaf = np.flatnonzero(high > 0.5).tolist()
+            # More information never harms: where all that is open fits, all is taken, unless a floor forbids it.
+            if limits.meets(leaf):
+                if _fits(limits, checked, leaf):
+                    value = objective.loss(leaf)
+                    if value < loss:
+                        best, loss = leaf, value
+                    continue
+                if limits.keep is not None or not (high > low).any():
+                    continue
             child = _node(objective, limits, low, high, loss - tolerance)
             if child is not None:
                 heapq.heappush(open_nodes, (max(child.bound, bound), count, low, high, child))
@@ -109,9 +119,28 @@ def branch_and_bound(objective: Objective, limits: Limits, chosen: list[int], no
     return Searched(best, min([one[0] for one in open_nodes] + [loss - tolerance]), count)
 
 
+def _fits(limits: Limits, checked: Checked | None, chosen: list[int]) -> bool:
+    return limits.meets(chosen) and (checked is None or checked.margin(chosen).excess <= 0.0)
+
+
+def _narrowed(limits: Limits, checked: Checked | None, lower: Array, upper: Array) -> tuple[Array, Array] | None:
+    """A part without the candidates that no longer fit or can no longer meet the floors; None where it is empty."""
+    room = limits.room(limits.matrix @ lower)
+    upper = np.where((upper > lower) & ~room, lower, upper)
+    if checked is not None:
+        upper = np.minimum(upper, checked.possible(upper > 0.5))
+        if np.any(lower > upper):
+            return None
+    if not limits.allow(lower) or upper.sum() < limits.exactly:
+        return None
+    if limits.exactly and upper.sum() == limits.exactly:
+        return (upper, upper) if limits.allow(upper) else None
+    return lower, upper
+
+
 def _node(objective: Objective, limits: Limits, lower: Array, upper: Array, target: float) -> Relaxed | None:
     """Relaxation of a part; None where it cannot hold anything better than the target."""
-    start = _start(objective, limits, lower, upper)
+    start = _start(limits, lower, upper)
     try:
         relaxed = relax(objective, limits, start, lower, upper, tolerance=1e-6, target=target)
     except np.linalg.LinAlgError:      # what is left of this part is singular
@@ -123,7 +152,7 @@ def _node(objective: Objective, limits: Limits, lower: Array, upper: Array, targ
     return None if relaxed.bound >= target else relaxed
 
 
-def _start(objective: Objective, limits: Limits, lower: Array, upper: Array) -> Array:
+def _start(limits: Limits, lower: Array, upper: Array) -> Array:
     free = upper > lower
     room = limits.most - limits.matrix @ lower
     spread = limits.matrix[:, free].sum(axis=1)
@@ -131,68 +160,20 @@ def _start(objective: Objective, limits: Limits, lower: Array, upper: Array) -> 
     return np.where(free, share, lower)
 
 
-def _implied(limits: Limits, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Candidates that no longer fit are out; where all that is left is needed for the number, it is in."""
-    room = limits.room(limits.matrix @ lower)
-    upper = np.where((upper > lower) & ~room, lower, upper)
-    return lower, upper
-
-
-def _leaf(limits: Limits, lower: Array, upper: Array) -> list[int] | None:
-    """The only choice left, if one: more information never harms, so where all that is open fits, all is taken."""
-    if limits.allow(upper):
-        return np.flatnonzero(upper > 0.5).tolist()
-    return None
-
-
-def _rounded(objective: Objective, limits: Limits, weights: Array, lower: Array, upper: Array) -> list[int] | None:
-    taken = lower.copy()
-    used = limits.matrix @ taken
-    for i in np.argsort(-weights):
-        if upper[i] > 0.5 and taken[i] < 0.5 and np.all(used + limits.matrix[:, i] <= limits.most + 1e-9):
-            taken[i] = 1.0
-            used = used + limits.matrix[:, i]
-    found = np.flatnonzero(taken > 0.5).tolist()
-    return exchange(objective, limits, found, 200) if np.isfinite(objective.loss(found)) else None
-
-
 def _fixed_by_cost(relaxed: Relaxed, limits: Limits, lower: Array, upper: Array, target: float
                    ) -> tuple[Array, Array]:
-    """Reduced-cost fixing where only the number is limited, with gains and bound at the same weights."""
-    if not limits.only_keep:
-        return lower, upper
-    gain = relaxed.near.gain
+    """Reduced-cost fixing where only the number is limited: by the linear function above exp(-loss)."""
     free = np.flatnonzero(upper > lower)
-    left = round(float(limits.most[0] - lower.sum()))
+    if not limits.only_keep or not free.size:
+        return lower, upper
+    gain, left = relaxed.support.gain, round(float(limits.most[0] - lower.sum()))
     if not 0 < left < len(free):
         return lower, upper
     order = free[np.argsort(-gain[free])]
     inside, outside = order[:left], order[left:]
-    here = relaxed.near.bound(relaxed.weights, limits, lower, upper)
-    level = here + np.log1p(float(gain[inside].sum() + gain @ lower - gain @ relaxed.weights))
-    # To beat the target the tangent must reach exp(level - target) - 1.
-    needed = np.exp(level - target) - 1.0
-    have = float(gain[inside].sum() + gain @ lower - gain @ relaxed.weights)
+    have = relaxed.support.constant + float(gain[inside].sum() + gain @ lower)
+    needed = float(np.exp(-target))      # a part reaches it or holds nothing better
     lower, upper = lower.copy(), upper.copy()
     lower[inside[have - gain[inside] + gain[outside[0]] < needed]] = 1.0
     upper[outside[have + gain[outside] - gain[inside[-1]] < needed]] = 0.0
     return lower, upper
-
-
-def improved(objective: Objective, limits: Limits, chosen: list[int]) -> list[int]:
-    """An exchange, where that does not end in a choice that hides what is asked for."""
-    found = exchange(objective, limits, chosen)
-    return found if objective.loss(found) < objective.loss(chosen) else chosen
-
-
-def begun(objective: Objective, limits: Limits, relaxed: Relaxed | None, found: list[int] | None = None) -> list[int]:
-    """The best of greedy with exchange (or what was found already) and of the rounded relaxation with exchange."""
-    if found is None:
-        found = exchange(objective, limits, greedy(objective, limits))
-    if not np.isfinite(objective.loss(found)) and objective.count <= MANY:
-        found = improved(objective, limits, backward(objective, limits))
-    if relaxed is None:
-        return found
-    n = objective.count
-    other = _rounded(objective, limits, relaxed.weights, np.zeros(n), np.ones(n))
-    return other if other is not None and objective.loss(other) < objective.loss(found) else found

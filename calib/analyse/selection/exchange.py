@@ -166,8 +166,7 @@ def _screened(objective: Objective, inverses: list[Array], among: Array) -> Arra
     """Those of many candidates that help most to first order."""
     if len(among) <= 4 * SCREENED:
         return among
-    gain = np.max([t.tangent(c, 8.0).gain(t.rows[among]) for t, c in zip(objective.terms, inverses)], axis=0)
-    return np.asarray(among[np.argsort(-gain)[:SCREENED]])
+    return np.asarray(among[np.argsort(-objective.pull(inverses, among))[:SCREENED]])
 
 
 def _regular_loss(objective: Objective, weights: Array) -> float:

@@ -14,6 +14,7 @@ from calib.blocks import Array
 from calib.errors import InputError
 
 ROUNDING = 1e-9
+PATIENCE = 10.0      # seconds for a choice that only has to be within the limits
 
 
 @dataclass(frozen=True)
@@ -41,21 +42,52 @@ class Limits:
         """Which candidates (n,) can still be added when `used` (r,) of each limit is taken."""
         return np.asarray(np.all(self.matrix <= (self.most - used)[:, None] + ROUNDING, axis=0))
 
-    def largest(self, gain: Array, lower: Array, upper: Array) -> float:
-        """Maximum of gain.w over the limits with lower <= w <= upper (n,): a sort, or a linear program."""
+    @property
+    def exactly(self) -> float:
+        """The smallest number of candidates that meets the request: the number to keep, where that is one."""
+        return 0.0 if self.keep is None else float(self.keep)
+
+    def meets(self, chosen: Sequence[int]) -> bool:
+        """Whether a choice is as large as asked for and within the limits."""
+        weights = np.bincount(np.asarray(chosen, dtype=np.int64), minlength=self.matrix.shape[1]).astype(float)
+        return self.allow(weights) and len(chosen) >= self.exactly
+
+    def largest(self, gain: Array, lower: Array, upper: Array) -> float | None:
+        """Maximum of gain.w over the limits with lower <= w <= upper (n,), None where there are no such weights.
+
+        A sort where only the number is limited, else a linear program, of which the dual value counts.
+        """
         if self.only_keep:
-            base = float(gain @ lower)
             left = round(float(self.most[0] - lower.sum()))
-            free = np.sort(np.maximum(gain[upper > lower], 0.0))[::-1]
-            return base + float(free[:left].sum())
+            free = np.sort(gain[upper > lower])[::-1]
+            if not 0 <= left <= len(free):
+                return None
+            return float(gain @ lower + free[:left].sum())
         from scipy.optimize import linprog
 
+        whole = {} if self.keep is None else {"A_eq": np.ones((1, len(gain))), "b_eq": [self.exactly]}
         found = linprog(-gain, A_ub=self.matrix, b_ub=self.most, bounds=np.column_stack([lower, upper]),
-                        method="highs")
+                        method="highs", **whole)
+        if found.status == 2:
+            return None
         # The dual of the program bounds it from above whatever the solver's tolerance on the primal side is.
         price = np.maximum(-found.ineqlin.marginals, 0.0)
-        reduced = gain - self.matrix.T @ price
-        return float(price @ self.most + np.sum(np.where(reduced > 0, reduced * upper, reduced * lower)))
+        each = 0.0 if self.keep is None else -float(found.eqlin.marginals[0])
+        reduced = gain - self.matrix.T @ price - each
+        return float(price @ self.most + each * self.exactly
+                     + np.sum(np.where(reduced > 0, reduced * upper, reduced * lower)))
+
+    def nearest(self, wish: Array) -> list[int] | None:
+        """The choice that meets the request and has the largest sum of wishes (n,); None where there is none."""
+        from scipy.optimize import Bounds, LinearConstraint, milp
+
+        n = len(wish)
+        conditions = [LinearConstraint(self.matrix, ub=self.most)]
+        if self.keep is not None:
+            conditions.append(LinearConstraint(np.ones(n), lb=self.exactly, ub=self.exactly))
+        found = milp(-wish, integrality=np.ones(n), bounds=Bounds(0, 1), constraints=conditions,
+                     options={"time_limit": PATIENCE})
+        return None if found.x is None else np.flatnonzero(found.x > 0.5).tolist()
 
 
 def limits_of(candidates: Candidates, keep: int | None, costs: Mapping[str, float] | ArrayLike | None,

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.analyse.selection.exact import begun
 from calib.analyse.selection.limits import Limits
 from calib.analyse.selection.relaxation import relax
 from calib.analyse.selection.select import Request, requested
+from calib.analyse.selection.starts import better, exchanged, first_choice, rounded
 from calib.blocks import Array
 from calib.linearisation import Linearisation
 
@@ -80,11 +80,11 @@ def along(fit: Linearisation, criterion: Any, numbers: Sequence[int], *, by: Any
     n, steps = len(request.candidates), []
     for keep in numbers:
         limits = Limits(np.ones((1, n)), np.array([float(keep)]), (f"keep {keep}",), int(keep))
-        found = begun(request.objective, limits, None)
+        found = exchanged(request.objective, limits, first_choice(request.objective, limits))
         if not np.isfinite(request.objective.loss(found)):
             continue
         relaxed = relax(request.objective, limits, request.candidates.indicator(found), tolerance=1e-5)
-        best = begun(request.objective, limits, relaxed)
+        best = better(request.objective, limits, found, rounded(request.objective, limits, relaxed.weights))
         loss = request.objective.loss(best)
         steps.append(Step(int(keep), request.value(loss), request.value(min(relaxed.bound, loss))))
     return tuple(steps)

@@ -11,24 +11,24 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.analyse.selection.interior import interior, inverse_of
 from calib.analyse.selection.limits import Limits
-from calib.analyse.selection.objective import Nearby, Objective
+from calib.analyse.selection.objective import Objective
+from calib.analyse.selection.terms import Support
 from calib.blocks import Array
 
 WORKING = 500      # candidates that may be undecided at once
-SHARPNESS = (8.0, 64.0, 512.0)
 ROUNDS = 40
-STEPS = 60
-NEAREST = 1e-13      # of a weight to its bounds
 
 
 @dataclass(frozen=True)
 class Relaxed:
-    """Weights (n,) of the relaxation, the bound of the loss that holds for every choice, and relative gains there."""
+    """Weights (n,) of the relaxation, the bound of the loss that holds for every choice, and the linear function that
+    proves it."""
 
     weights: Array
     bound: float
-    near: Nearby
+    support: Support
 
 
 def relax(objective: Objective, limits: Limits, start: Array, lower: Array | None = None, upper: Array | None = None,
@@ -43,48 +43,28 @@ def relax(objective: Objective, limits: Limits, start: Array, lower: Array | Non
     lower = np.zeros(n) if lower is None else lower
     upper = np.ones(n) if upper is None else upper
     weights, best = _inside(limits, start, lower, upper), None
-    for sharpness in SHARPNESS if objective.sharp else (1.0,):
-        weights, found = _at_sharpness(objective, limits, weights, lower, upper, sharpness, tolerance, target)
-        if best is None or found.bound > best.bound:
-            best = found
-        if best.bound > target:
-            break
-    assert best is not None
-    return best
-
-
-def _inside(limits: Limits, start: Array, lower: Array, upper: Array) -> Array:
-    """Weights strictly between their bounds and within the limits, near a choice."""
-    free = upper > lower
-    room = limits.most - limits.matrix @ lower
-    spread = limits.matrix @ free.astype(float)
-    inside = np.where(free, 0.9 * np.clip(start, 0.0, 1.0), lower)
-    left = limits.most - limits.matrix @ inside
-    binding = (spread > 0) & (room > 0)
-    share = min(0.09, 0.5 * float(np.min(left[binding] / spread[binding], initial=0.18)))
-    return np.where(free, inside + share * (1.0 - np.clip(start, 0.0, 1.0)), lower)
-
-
-def _at_sharpness(objective: Objective, limits: Limits, weights: Array, lower: Array, upper: Array, sharpness: float,
-                  tolerance: float, target: float) -> tuple[Array, Relaxed]:
-    best: Relaxed | None = None
     price = np.zeros(len(limits.most))
-    undecided = _first(objective, limits, weights, lower, upper, sharpness)
+    undecided = _first(objective, limits, weights, lower, upper)
     decided = lower.copy()
     if len(undecided) < int((upper > lower).sum()):
         decided, weights = _decide(limits, lower, upper, undecided, weights)
     else:
         weights = _loosened(limits, weights, undecided)
+    if not objective.single:
+        # A worst value far from all its pieces is nearer to the path than any choice.
+        weights[undecided] = 0.5
+        weights = _loosened(limits, weights, undecided)
     for _ in range(ROUNDS):
-        weights, price = _interior(objective, limits, weights, undecided, sharpness, 0.1 * tolerance)
-        near = objective.near(weights, sharpness)
-        bound = near.bound(weights, limits, lower, upper)
+        weights, price, front = interior(objective, limits, weights, undecided, 0.1 * tolerance)
+        support = front.support
+        bound = support.bound(limits, lower, upper)
         if best is None or bound > best.bound:
-            best = Relaxed(weights, bound, near)
-        gap = near.bound(weights, limits, weights, weights) - bound
-        if gap <= tolerance or bound > target:
+            best = Relaxed(weights, bound, support)
+        if front.loss - bound <= tolerance or bound > target:
             break
-        reduced = near.gain - limits.matrix.T @ price
+        # Relative gains: those of the linear function over its value here.
+        gain = support.gain / (support.constant + float(support.gain @ weights))
+        reduced = gain - limits.matrix.T @ price
         outside = np.setdiff1d(np.flatnonzero(upper > lower), undecided, assume_unique=True)
         wrong = outside[np.where(decided[outside] > 0.5, -reduced[outside], reduced[outside]) > 0.0]
         if not wrong.size:
@@ -101,16 +81,28 @@ def _at_sharpness(objective: Objective, limits: Limits, weights: Array, lower: A
             undecided = np.setdiff1d(undecided, gone, assume_unique=True)
         undecided = np.union1d(undecided, wrong)
         weights = _loosened(limits, weights, undecided)
-    return weights, best  # type: ignore[return-value]
+    assert best is not None
+    return best
 
 
-def _first(objective: Objective, limits: Limits, weights: Array, lower: Array, upper: Array, sharpness: float
-           ) -> NDArray[np.int64]:
+def _inside(limits: Limits, start: Array, lower: Array, upper: Array) -> Array:
+    """Weights strictly between their bounds and within the limits, near a choice."""
+    free = upper > lower
+    room = limits.most - limits.matrix @ lower
+    spread = limits.matrix @ free.astype(float)
+    inside = np.where(free, 0.9 * np.clip(start, 0.0, 1.0), lower)
+    left = limits.most - limits.matrix @ inside
+    binding = (spread > 0) & (room > 0)
+    share = min(0.09, 0.5 * float(np.min(left[binding] / spread[binding], initial=0.18)))
+    return np.where(free, inside + share * (1.0 - np.clip(start, 0.0, 1.0)), lower)
+
+
+def _first(objective: Objective, limits: Limits, weights: Array, lower: Array, upper: Array) -> NDArray[np.int64]:
     """The candidates of which it is least plain whether they are in or out."""
     free = np.flatnonzero(upper > lower)
     if len(free) <= WORKING:
         return free
-    gain = objective.near(weights, sharpness).gain[free]
+    gain = objective.pull([inverse_of(t.information(weights)) for t in objective.terms], free)
     start = weights[free] > 0.5
     if start.sum() < WORKING // 2:
         # All of the starting choice is undecided, with the best of the rest.
@@ -143,75 +135,3 @@ def _loosened(limits: Limits, weights: Array, undecided: NDArray[np.int64]) -> A
     shrink = min(1.0, 0.995 * float(np.min(room[tight] / used[tight], initial=2.0)))
     weights[undecided] = inside * shrink
     return weights
-
-
-def _interior(objective: Objective, limits: Limits, weights: Array, undecided: NDArray[np.int64], sharpness: float,
-              tolerance: float) -> tuple[Array, Array]:
-    """Primal-dual interior point on the undecided weights, the others kept; returns weights and prices of limits."""
-    weights, matrix = weights.copy(), limits.matrix[:, undecided]
-    w = weights[undecided]
-    fixed = weights.copy()
-    fixed[undecided] = 0.0
-    room = limits.most - limits.matrix @ fixed
-    slack = np.maximum(room - matrix @ w, 1e-12)
-    near = objective.near(weights, sharpness)
-    active = np.any(matrix > 0, axis=1)
-    mu = 0.1 / max(len(w), 1)
-    price = np.where(active, mu / slack, 0.0)
-    low, high = mu / w, mu / (1.0 - w)
-    total = 2 * len(w) + int(active.sum())
-    for _ in range(STEPS):
-        gain = near.gain[undecided]
-        complementarity = float((w @ low + (1.0 - w) @ high + slack @ price) / total)
-        dual = -gain + matrix.T @ price - low + high
-        if complementarity * total < tolerance and np.max(np.abs(dual), initial=0.0) < tolerance:
-            break
-        aim = 0.15 * complementarity
-        normal = near.curvature(undecided)
-        normal[np.diag_indices(len(w))] += low / w + high / (1.0 - w)
-        normal += matrix.T @ (matrix * (price / slack)[:, None])
-        right = gain - matrix.T @ (np.where(active, aim / slack, 0.0)) + aim / w - aim / (1.0 - w)
-        move = _solve(normal, right)
-        use = matrix @ move
-        d_price = np.where(active, (aim - slack * price + price * use) / slack, 0.0)
-        d_low = (aim - w * low - low * move) / w
-        d_high = (aim - (1.0 - w) * high + high * move) / (1.0 - w)
-        step = min(1.0, 0.99 * min(_largest_step(w, move), _largest_step(1.0 - w, -move),
-                                   _largest_step(slack, -use)))
-        other = min(1.0, 0.99 * min(_largest_step(price, d_price), _largest_step(low, d_low),
-                                    _largest_step(high, d_high)))
-        while True:
-            trial = weights.copy()
-            trial[undecided] = w + step * move
-            try:
-                ahead = objective.near(trial, sharpness)
-            except np.linalg.LinAlgError:
-                ahead = None
-            # Far from the centre of the path a full step may overshoot: the objective must not rise steeply.
-            if ahead is not None and ahead.loss <= near.loss + 2.0:
-                break
-            step *= 0.5
-            if step < 1e-6:
-                return weights, price
-        weights, near = trial, ahead
-        w = np.clip(weights[undecided], NEAREST, 1.0 - NEAREST)
-        slack = np.maximum(slack - step * use, 1e-14)
-        price, low, high = price + other * d_price, low + other * d_low, high + other * d_high
-    return weights, price
-
-
-def _solve(normal: Array, right: Array) -> Array:
-    from scipy.linalg import LinAlgError, cho_factor, cho_solve
-
-    scale = 1.0 / np.sqrt(np.diag(normal))
-    scaled = normal * scale[:, None] * scale[None, :]
-    try:
-        return np.asarray(scale * cho_solve(cho_factor(scaled), scale * right))
-    except LinAlgError:
-        scaled[np.diag_indices(len(scaled))] += 1e-10
-        return np.asarray(scale * np.linalg.lstsq(scaled, scale * right, rcond=1e-12)[0])
-
-
-def _largest_step(value: Array, change: Array) -> float:
-    falling = change < 0
-    return float(np.min(-value[falling] / change[falling], initial=np.inf))

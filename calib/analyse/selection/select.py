@@ -13,15 +13,16 @@ from numpy.typing import ArrayLike
 from calib.analyse.covariance import covariance
 from calib.analyse.selection.candidates import Candidates, candidates_of, repeated
 from calib.analyse.selection.criterion import D, WorstCase
-from calib.analyse.selection.exact import MANY, begun, branch_and_bound, enumerated, exhaustive, improved, subsets
-from calib.analyse.selection.exchange import exchange
-from calib.analyse.selection.floors import Checked, Floors, refusal, with_floors
-from calib.analyse.selection.greedy import backward, greedy
+from calib.analyse.selection.exact import branch_and_bound, enumerated, exhaustive, subsets
+from calib.analyse.selection.floored import refusal, with_floors
+from calib.analyse.selection.floors import Checked, Floors
+from calib.analyse.selection.greedy import greedy
 from calib.analyse.selection.limits import Limits, limits_of
 from calib.analyse.selection.method import BranchAndBound, Conic, Exchange, Exhaustive, Method, Relaxation
 from calib.analyse.selection.objective import Objective
 from calib.analyse.selection.reduced import reduced
 from calib.analyse.selection.relaxation import Relaxed, relax
+from calib.analyse.selection.starts import better, exchanged, first_choice, rounded
 from calib.blocks import Array
 from calib.errors import InputError, RankDefect
 from calib.linearisation import Linearisation
@@ -183,41 +184,44 @@ def _searched(request: Request, method: Method) -> tuple[list[int], float, str]:
             return _exhaustive_with_floors(request, checked)
         found = exhaustive(objective, limits)
         return found, objective.loss(found) if found else np.inf, method.name
-    chosen = greedy(objective, limits)
-    if not np.isfinite(objective.loss(chosen)):
-        chosen = exchange(objective, limits, chosen)
-    if not np.isfinite(objective.loss(chosen)) and n <= MANY:
-        chosen = backward(objective, limits)
-    if not np.isfinite(objective.loss(chosen)):
-        return chosen, -np.inf, method.name
-    # The relaxation starts from the better of the two; where it starts changes its time, not its bound.
-    better = improved(objective, limits, chosen)
-    relaxed = _conic(request) if isinstance(method, Conic) else relax(objective, limits,
-                                                                      request.candidates.indicator(better))
-    bound, name = relaxed.bound, method.name
+    first = first_choice(objective, limits)
     if isinstance(method, BranchAndBound):
-        chosen = begun(objective, limits, relaxed, better)
-        if checked is None:
-            searched = branch_and_bound(objective, limits, chosen, method.nodes, method.seconds, method.tolerance)
-            chosen, bound = searched.chosen, max(bound, searched.bound)
-            name = f"{method.name}, {searched.nodes} nodes"
-    elif isinstance(method, Exchange):
-        chosen = begun(objective, limits, relaxed, better)
+        return _branched(request, method, first)
+    if not limits.meets(first) or not np.isfinite(objective.loss(first)):
+        return first, -np.inf, method.name
+    # The relaxation starts from the better of the two; where it starts changes its time, not its bound.
+    better_one = exchanged(objective, limits, first)
+    relaxed = _conic(request) if isinstance(method, Conic) else relax(objective, limits,
+                                                                      request.candidates.indicator(better_one))
+    chosen, name = first, method.name
+    if isinstance(method, Exchange):
+        chosen = better(objective, limits, better_one, rounded(objective, limits, relaxed.weights))
     elif isinstance(method, (Relaxation, Conic)):
-        chosen = _rounded(objective, limits, relaxed)
-    if checked is not None:
-        chosen = with_floors(objective, limits, checked, chosen)
-        name += ", floors by exchange"
-    return chosen, bound, name
+        # What rounding hides is no choice: the exchange then has the last word.
+        chosen = rounded(objective, limits, relaxed.weights)
+        if not limits.meets(chosen) or not np.isfinite(objective.loss(chosen)):
+            chosen = better_one
+    if checked is not None and checked.margin(chosen).excess > 0.0:
+        met = with_floors(objective, limits, checked, chosen)
+        if met is None:
+            raise refusal(objective, limits, checked, chosen, False)
+        chosen, name = met, name + ", floors by exchange"
+    return chosen, relaxed.bound, name
 
 
-def _rounded(objective: Objective, limits: Limits, relaxed: Relaxed) -> list[int]:
-    taken = np.zeros(objective.count)
-    for i in np.argsort(-relaxed.weights):
-        taken[i] = 1.0
-        if not limits.allow(taken):
-            taken[i] = 0.0
-    return exchange(objective, limits, np.flatnonzero(taken).tolist())
+def _branched(request: Request, method: BranchAndBound, first: list[int]) -> tuple[list[int], float, str]:
+    objective, limits, checked = request.objective, request.limits, request.checked
+    begin: list[int] | None = exchanged(objective, limits, first) if np.isfinite(objective.loss(first)) else None
+    if begin is not None and not limits.meets(begin):
+        begin = None
+    without = begin or []
+    if checked is not None and (begin is None or checked.margin(begin).excess > 0.0):
+        begin = None if begin is None else with_floors(objective, limits, checked, begin, method.seconds / 6)
+    searched = branch_and_bound(objective, limits, begin, method.nodes, method.seconds, method.tolerance, checked)
+    name = f"{method.name}, {searched.nodes} nodes"
+    if searched.chosen is None and checked is not None and without:
+        raise refusal(objective, limits, checked, without, np.isinf(searched.bound))
+    return searched.chosen or [], searched.bound, name
 
 
 def _conic(request: Request) -> Relaxed:
@@ -238,7 +242,7 @@ def _exhaustive_with_floors(request: Request, checked: Checked) -> tuple[list[in
             return chosen, loss, "exhaustive, with floors"
         closest = min(closest, (excess, chosen))
     if closest[1]:
-        raise InputError(refusal(request.limits, checked, closest[1]))
+        raise refusal(request.objective, request.limits, checked, closest[1], True)
     return [], np.inf, "exhaustive"
 
 

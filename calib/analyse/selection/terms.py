@@ -2,7 +2,7 @@
 
 Every loss is the logarithm of a value that is to be small (for D: minus that of det^(1/p)), so that exp(-loss) is
 concave in the information and homogeneous of degree one. Written with C the inverse information, A the rows of a
-candidate, F the functions asked for and S = F C F'.
+candidate, F the functions asked for and S = F C F'. The criteria that are a maximum stand in `worst`.
 Source: Pukelsheim (2006), Optimal Design of Experiments, chapters 5 and 6.
 """
 
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.analyse.selection.limits import Limits
 from calib.blocks import Array
 
 SINGULAR = 1e-12      # smallest eigenvalue of the information, of all information together, that counts as seen
@@ -21,25 +22,56 @@ HIDDEN = 1e-10        # share of a function in unseen directions from which on i
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
-    """A criterion near one information.
+    """A smooth criterion near one information.
 
-    level: loss of the weighed criterion that the bound is about; loss: what an optimiser follows (a smooth form of the
-    same); spread: (p, p) with tr(A spread A') the decrease of loss by each candidate; curvature: Hessian (u, u) for the
-    rows (u, m, p) of some candidates.
+    loss; spread: (p, p) with tr(A spread A') the decrease of the loss by each candidate; curvature: Hessian (u, u) for
+    the rows (u, m, p) of some candidates.
     """
 
-    level: float
     loss: float
     spread: Array
     curvature: Callable[[Array], Array]
 
-    def gain(self, rows: Array) -> Array:
-        """Decrease of the loss (n,) by each candidate, per unit of weight."""
-        flat = rows.reshape(-1, rows.shape[2])
-        return np.asarray(np.einsum("ij,ij->i", flat @ self.spread, flat).reshape(rows.shape[:2]).sum(axis=1))
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """The pieces of which a criterion is the largest, near one information.
+
+    losses (m,); gains: decrease (m, u) of each by the rows (u, m, p) of some candidates; spread: (p, p) of the pieces
+    with multipliers (m,), as of a tangent; curvature: of the pieces with multipliers (m,) for rows (u, m, p), without
+    the -J'J that the gains J (m, u) of logarithms contribute.
+    """
+
+    losses: Array
+    gains: Callable[[Array], Array]
+    spread: Callable[[Array], Array]
+    curvature: Callable[[Array, Array], Array]
 
 
-def _summed(products: Array, count: int) -> Array:
+@dataclass(frozen=True, eq=False)
+class Support:
+    """A linear function of the weights that lies above exp(-loss) at all of them: constant + gain.w, gain (n,).
+
+    It is computed from a symmetric matrix (p, p) alone and holds for any, whoever found it: see `Term.support`.
+    """
+
+    gain: Array
+    constant: float
+
+    def bound(self, limits: Limits, lower: Array, upper: Array) -> float:
+        """A loss that no choice within the limits and lower <= w <= upper can fall below; infinite where there is
+        none."""
+        most = limits.largest(self.gain, lower, upper)
+        return np.inf if most is None else -float(np.log(max(self.constant + most, 1e-300)))
+
+
+def projected(rows: Array, spread: Array) -> Array:
+    """tr(A spread A') of the rows A of each candidate (n, m, p)."""
+    flat = flattened(rows)
+    return np.asarray(np.einsum("ij,ij->i", flat @ spread, flat).reshape(rows.shape[:2]).sum(axis=1))
+
+
+def summed(products: Array, count: int) -> Array:
     """Products of rows (u m, u m) summed over the rows of each pair of candidates."""
     width = len(products) // count
     if width == 1:
@@ -47,7 +79,7 @@ def _summed(products: Array, count: int) -> Array:
     return np.asarray(products.reshape(count, width, count, width).sum(axis=(1, 3)))
 
 
-def _flat(rows: Array) -> Array:
+def flattened(rows: Array) -> Array:
     return rows.reshape(-1, rows.shape[2])
 
 
@@ -57,12 +89,12 @@ class Term:
 
     rows: Array
     fixed: Array
-    sharp = False      # whether a smooth form with a sharpness stands in for it
+    smooth = True      # whether it has a tangent; otherwise it is the largest of several pieces
 
     def information(self, weights: Array) -> Array:
         """Information (p, p) with weights (n,)."""
         used = np.flatnonzero(weights)
-        flat = _flat(self.rows[used])
+        flat = flattened(self.rows[used])
         return np.asarray(self.fixed + flat.T @ (flat * np.repeat(weights[used], self.rows.shape[1])[:, None]))
 
     def loss(self, information: Array) -> Array:
@@ -96,8 +128,37 @@ class Term:
         less = through.transpose(0, 2, 1) @ np.linalg.solve(within, through)
         return self.of_covariance(self.functions @ inverse @ self.functions.T - less)
 
-    def tangent(self, inverse: Array, sharpness: float) -> Tangent:
-        """The criterion near an inverse information (p, p)."""
+    def tangent(self, inverse: Array) -> Tangent:
+        """The criterion near an inverse information (p, p), where it is smooth."""
+        raise NotImplementedError
+
+    def pull(self, inverse: Array) -> Array:
+        """A matrix (p, p) that tells which candidates help at an inverse information: tr(A pull A')."""
+        return self.tangent(inverse).spread
+
+    def pieces(self, inverse: Array) -> Pieces:
+        """The pieces of which it is the largest, near an inverse information (p, p): itself, where it is smooth."""
+        tangent = self.tangent(inverse)
+
+        def curvature(rows: Array, multipliers: Array) -> Array:
+            gain = projected(rows, tangent.spread)
+            return float(multipliers[0]) * (tangent.curvature(rows) + np.outer(gain, gain))
+
+        return Pieces(np.array([tangent.loss]), lambda rows: projected(rows, tangent.spread)[None],
+                      lambda multipliers: float(multipliers[0]) * tangent.spread, curvature)
+
+    def support(self, dual: Array, mixture: Array | None = None) -> Support:
+        """A linear function above exp(-loss), from any positive semidefinite dual matrix (p, p) alone.
+
+        For every information M: exp(-loss) <= tr(M dual) / least, with least the smallest value of tr(M dual) where
+        exp(-loss) is one; mixture: (f,) shares of the functions where the loss is the largest of them.
+        Source: Pukelsheim (2006), chapter 5 (polars of information functions).
+        """
+        least = self.least(dual, mixture)
+        return Support(projected(self.rows, dual) / least, float(np.sum(self.fixed * dual)) / least)
+
+    def least(self, dual: Array, mixture: Array | None) -> float:
+        """Smallest tr(M dual) of informations M (p, p) with exp(-loss) of one, or something below it."""
         raise NotImplementedError
 
 
@@ -122,14 +183,18 @@ class Determinant(Term):
         grown = np.log(within[:, 0, 0]) if rows.shape[1] == 1 else np.linalg.slogdet(within)[1]
         return np.asarray(base - grown / self.size)
 
-    def tangent(self, inverse: Array, sharpness: float) -> Tangent:
+    def tangent(self, inverse: Array) -> Tangent:
         loss = float((np.linalg.slogdet(inverse)[1] - self.log_scale) / self.size)
 
         def curvature(rows: Array) -> Array:
-            flat = _flat(rows)
-            return _summed((flat @ inverse @ flat.T) ** 2, len(rows)) / self.size
+            flat = flattened(rows)
+            return summed((flat @ inverse @ flat.T) ** 2, len(rows)) / self.size
 
-        return Tangent(loss, loss, inverse / self.size, curvature)
+        return Tangent(loss, inverse / self.size, curvature)
+
+    def least(self, dual: Array, mixture: Array | None) -> float:
+        # Means of eigenvalues: tr(M Y) >= p det(M)^(1/p) det(Y)^(1/p).
+        return self.size * float(np.exp((np.linalg.slogdet(dual)[1] - self.log_scale) / self.size))
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,96 +220,29 @@ class Trace(OfFunctions):
         trace = np.trace(covariance, axis1=-2, axis2=-1)
         return np.log(np.maximum(trace, 1e-300))
 
-    def tangent(self, inverse: Array, sharpness: float) -> Tangent:
+    def tangent(self, inverse: Array) -> Tangent:
         through = self.matrix @ inverse
         trace = float(np.sum(through * self.matrix))
         spread = through.T @ through / trace
 
         def curvature(rows: Array) -> Array:
-            flat = _flat(rows)
+            flat = flattened(rows)
             across = flat @ spread @ flat.T
             gain = np.diag(across).reshape(len(rows), -1).sum(axis=1)
-            return 2.0 * _summed((flat @ inverse @ flat.T) * across, len(rows)) - np.outer(gain, gain)
+            return 2.0 * summed((flat @ inverse @ flat.T) * across, len(rows)) - np.outer(gain, gain)
 
-        loss = float(np.log(trace))
-        return Tangent(loss, loss, spread, curvature)
+        return Tangent(float(np.log(trace)), spread, curvature)
 
-
-@dataclass(frozen=True, eq=False)
-class Largest(OfFunctions):
-    """E: logarithm of the largest eigenvalue of S; smooth form: that of (sum of q-th powers)^(1/q)."""
-
-    sharp = True
-
-    def __post_init__(self) -> None:
-        if len(self.matrix) > self.matrix.shape[1]:
-            object.__setattr__(self, "matrix", np.linalg.qr(self.matrix, mode="r"))
-
-    def of_covariance(self, covariance: Array) -> Array:
-        return np.log(np.maximum(np.linalg.eigvalsh(covariance)[..., -1], 1e-300))
-
-    def tangent(self, inverse: Array, sharpness: float) -> Tangent:
-        values, vectors = np.linalg.eigh(self.matrix @ inverse @ self.matrix.T)
-        return _of_powers(inverse, vectors.T @ self.matrix @ inverse, np.maximum(values, 1e-300), sharpness, True)
+    def least(self, dual: Array, mixture: Array | None) -> float:
+        return least_of_trace(self.matrix, dual)
 
 
-@dataclass(frozen=True, eq=False)
-class LargestOf(OfFunctions):
-    """G: logarithm of the largest diagonal element of S; smooth form as for E."""
-
-    sharp = True
-
-    def _loss(self, values: Array, vectors: Array, seen: Array, inverse: Array) -> Array:
-        losses = np.empty(len(values))
-        size = np.linalg.norm(self.matrix, axis=1)
-        for i in range(len(values)):      # one by one: there may be as many predictions as candidates
-            turned = self.matrix @ vectors[i]
-            hidden = np.any(np.linalg.norm(turned[:, ~seen[i]], axis=1) > HIDDEN * size)
-            losses[i] = np.inf if hidden else np.log(np.max(turned**2 @ inverse[i]))
-        return losses
-
-    def after(self, inverse: Array, rows: Array) -> Array:
-        seen = rows @ inverse
-        within = np.eye(rows.shape[1]) + seen @ rows.transpose(0, 2, 1)
-        variances = np.einsum("ij,ij->i", self.matrix @ inverse, self.matrix)
-        through = seen @ self.matrix.T
-        less = np.sum(through * np.linalg.solve(within, through), axis=1)
-        return np.log(np.maximum(np.max(variances - less, axis=1), 1e-300))
-
-    def tangent(self, inverse: Array, sharpness: float) -> Tangent:
-        through = self.matrix @ inverse
-        return _of_powers(inverse, through, np.sum(through * self.matrix, axis=1), sharpness, False)
-
-
-def _of_powers(inverse: Array, through: Array, values: Array, q: float, coupled: bool) -> Tangent:
-    """Tangent of the q-norm of values (f,), whose functions times C are `through` (f, p).
-
-    coupled: whether the values are eigenvalues, which also turn.
-    """
-    largest = values.max()
-    relative = values / largest
-    total = float(np.sum(relative**q))
-    share = relative ** (q - 1.0)
-    spread = through.T @ (through * (share / (total * largest))[:, None])
-
-    def curvature(rows: Array) -> Array:
-        flat = _flat(rows)
-        gain = np.einsum("ij,ij->i", flat @ spread, flat).reshape(len(rows), -1).sum(axis=1)
-        hessian = 2.0 * _summed((flat @ inverse @ flat.T) * (flat @ spread @ flat.T), len(rows))
-        moved = (flat @ through.T).reshape(len(rows), -1, len(values)) / np.sqrt(largest)
-        if coupled:
-            gap = relative[:, None] - relative[None, :]
-            near = np.abs(gap) < 1e-9
-            slope = np.where(near, (q - 1.0) * np.maximum(relative, 1e-300)[:, None] ** (q - 2.0),
-                             (share[:, None] - share[None, :]) / np.where(near, 1.0, gap))
-            change = np.einsum("umf,umg->ufg", moved, moved) * np.sqrt(slope / total)
-            change = change.reshape(len(rows), -1)
-        else:
-            change = np.sum(moved**2, axis=1) * np.sqrt((q - 1.0) * relative ** (q - 2.0) / total)
-        return np.asarray(hessian + change @ change.T - q * np.outer(gain, gain))
-
-    level = float(np.log(largest * total / np.sum(share)))
-    return Tangent(level, float(np.log(largest) + np.log(total) / q), spread, curvature)
+def least_of_trace(matrix: Array, dual: Array) -> float:
+    """Smallest tr(M Y) of informations M with tr(F M^-1 F') of one, for F (f, p) and Y (p, p): with Y = Z Z' it is the
+    square of the sum of the singular values of F Z, because that sum is at most |F M^(-1/2)| |M^(1/2) Z|."""
+    values, vectors = np.linalg.eigh(dual)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return float(np.sum(np.linalg.svd(matrix @ root, compute_uv=False))) ** 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,15 +253,19 @@ class DeterminantOfSet(OfFunctions):
         sign, logarithm = np.linalg.slogdet(covariance)
         return np.where(sign > 0, logarithm, -np.inf) / len(self.matrix)
 
-    def tangent(self, inverse: Array, sharpness: float) -> Tangent:
+    def tangent(self, inverse: Array) -> Tangent:
         s, through = len(self.matrix), self.matrix @ inverse
         covariance = through @ self.matrix.T
         whole = through.T @ np.linalg.solve(covariance, through)
 
         def curvature(rows: Array) -> Array:
-            flat = _flat(rows)
+            flat = flattened(rows)
             across = flat @ whole @ flat.T
-            return _summed((2.0 * (flat @ inverse @ flat.T) - across) * across, len(rows)) / s
+            return summed((2.0 * (flat @ inverse @ flat.T) - across) * across, len(rows)) / s
 
-        loss = float(np.linalg.slogdet(covariance)[1] / s)
-        return Tangent(loss, loss, whole / s, curvature)
+        return Tangent(float(np.linalg.slogdet(covariance)[1] / s), whole / s, curvature)
+
+    def least(self, dual: Array, mixture: Array | None) -> float:
+        # F'N F <= M for N = S^-1, so tr(M Y) >= tr(N F Y F') >= s det(N)^(1/s) det(F Y F')^(1/s).
+        s = len(self.matrix)
+        return s * float(np.exp(np.linalg.slogdet(self.matrix @ dual @ self.matrix.T)[1] / s))
