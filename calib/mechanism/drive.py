@@ -18,6 +18,7 @@ from calib.units import ppm, um, urad
 
 ENCODER = "ISO 230-2:2014 (positioning); Deumlich and Staiger, Instrumentenkunde, Wichmann 2002 (circle eccentricity)"
 DEFLECTION = "Hollerbach, Khalil and Gautier, Springer Handbook of Robotics 2016, ch. 6: joint compliance"
+WINDUP = "Tuttle, Understanding and modeling the behavior of a harmonic drive gear transmission, MIT AI-TR 1365, 1992"
 THERMAL = "ISO 230-3:2020 (thermal effects); linear expansion"
 
 
@@ -88,19 +89,35 @@ def sag_by_load(mechanism: Mechanism, axis: Axis) -> Effect:
                   parameters, channel=axis.name, source=DEFLECTION)
 
 
+def soft_windup(mechanism: Mechanism, axis: Axis, knee: float) -> Effect:
+    """Windup of a gear that is soft under small torque: the weight takes up the play and friction of its teeth.
+
+    knee: lever arm of the whole weight [m] at which three quarters of it are taken up. The parameter is the deflection
+    to either side beyond the knee, where only the stiff part, `sag`, goes on.
+    """
+    share = _shares(mechanism)
+    return Effect(f"windup_{axis.name}", f"{axis.name}_position",
+                  lambda value, p, levers: p.windup * ca.tanh(ca.dot(share, levers) / knee),
+                  (Parameter("windup", *_displayed(axis)),), channel=axis.name, source=WINDUP)
+
+
 def bending(mechanism: Mechanism, axis: Axis) -> Effect:
     """Tilt of an axis by the moment of all loads across it: compliance of its bearing and of the link before it.
 
     The parameter is the tilt per metre of lever arm of the whole weight, the same in every direction across the axis.
     """
-    masses = np.array([load.mass for load in mechanism.loads])
-    share = ca.DM(masses / masses.sum())
+    share = _shares(mechanism)
     across = ca.DM([0.0 if i == axis.along else 1.0 for i in range(3)])
 
     def tilt(value: Any, p: Any, moments: Any) -> Any:
         return ca.vertcat(ca.SX.zeros(3), p.compliance * across * ca.mtimes(moments, share))
     return Effect(f"bending_{axis.name}", f"{axis.name}_location", tilt, (Parameter("compliance", *_compliance(axis)),),
                   channel=axis.name, source=DEFLECTION)
+
+
+def _shares(mechanism: Mechanism) -> ca.DM:
+    masses = np.array([load.mass for load in mechanism.loads])
+    return ca.DM(masses / masses.sum())
 
 
 def _compliance(axis: Axis) -> tuple[str, tuple[float, float]]:
