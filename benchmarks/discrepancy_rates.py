@@ -51,8 +51,9 @@ def line(scenario: str, name: str, size: float, found: list[Outcome]) -> list[ob
     enough = float(np.mean(shrinks[np.isfinite(shrinks)] >= 0.95)) if np.isfinite(shrinks).any() else float("nan")
     figures = [mean(f) for f in ("alarmed", "right", "named", "exact", "or_alias",
                                    "exact_where_separable", "ideal")]
-    figures += [1 - mean("missed_aliases"), mean("spurious_aliases"), mean("within"), mean("u_ratio"), enough,
-                mean("seconds")]
+    listed, wrong = (sum(getattr(one, f) for one in found) for f in ("listed_aliases", "spurious_aliases"))
+    figures += [1 - mean("missed_aliases"), wrong / listed if listed else float("nan"), mean("within"), mean("u_ratio"),
+                enough, mean("seconds")]
     return [scenario, name, size, len(found), *("" if np.isnan(f) else f"{f:.3f}" for f in figures)]
 
 

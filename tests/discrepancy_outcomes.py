@@ -30,7 +30,8 @@ class Outcome:
     or_alias: bool
     exact_where_separable: float
     missed_aliases: float
-    spurious_aliases: float
+    listed_aliases: int
+    spurious_aliases: int
     within: float
     u_ratio: float
     shrink: float
@@ -47,7 +48,8 @@ def outcome(case: Case, level: float = 0.01, gap: bool = True) -> Outcome:
     pairs = [(key if key in true else next(iter(set(one.aliases) & true), None)) for key, one in mine.items()]
     or_alias = len(mine) == len(true) and None not in pairs and set(pairs) == true
     exact = set(mine) == true
-    missed = spurious = within = ratio = shrink = ideal = separable = np.nan
+    missed = within = ratio = shrink = ideal = separable = np.nan
+    listed = spurious = 0
     if case.effects:
         estimate = solve(case.problem)
         scene = scene_of(case.problem, estimate, ())
@@ -58,13 +60,12 @@ def outcome(case: Case, level: float = 0.01, gap: bool = True) -> Outcome:
             separable = float(exact)
         if exact:
             missed = float(any(theirs[key] - set(one.aliases) for key, one in mine.items()))
-            count = sum(len(one.aliases) for one in mine.values())
-            wrong = sum(len(set(one.aliases) - theirs[key]) for key, one in mine.items())
-            spurious = wrong / count if count else np.nan
+            listed = sum(len(one.aliases) for one in mine.values())
+            spurious = sum(len(set(one.aliases) - theirs[key]) for key, one in mine.items())
             within, ratio = _parameters(case, mine)
             shrink = _shrink(case, found, estimate)
     return Outcome(found.verdict, found.verdict == case.verdict, found.verdict != "consistent", bool(mine), exact,
-                   or_alias, separable, missed, spurious, within, ratio, shrink, ideal, seconds)
+                   or_alias, separable, missed, listed, spurious, within, ratio, shrink, ideal, seconds)
 
 
 def _aliases(scene, case: Case, places) -> dict[tuple[str, str], set[tuple[str, str]]]:

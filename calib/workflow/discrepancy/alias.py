@@ -14,7 +14,7 @@ from calib.linearisation import Linearisation
 
 RAISES = 4.0  # expected rise of the sum of squares up to which another effect is an alias
 PROPORTIONAL = 1e-9  # distance from it up to which two columns are proportional
-RAISED = 2.0  # rise in these very readings up to which they leave open which of two it is
+RAISED = 1.0  # rise in these very readings up to which they leave open which of two it is
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from calib.workflow.discrepancy.readings import Channel
 
 HARMONICS = (1, 2, 3, 4, 5, 6)
 WAVES = (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)  # waves over the range of a covariate that is no angle
+PLACES = ("position", "travel")  # covariates that are places along a guide
 STEPS = 16  # parts of the time between which a step may be
 DEGREES = 5  # of the polynomials over one covariate
 FEW = 12  # different values up to which a covariate is taken level by level
@@ -134,29 +135,29 @@ def _shapes(values: NDArray, unit: str) -> Iterator[tuple[str, Array]]:
 
 
 def _products(channel: Channel, inside: NDArray) -> Iterator[tuple[str, str, Array]]:
-    """What grows with time or temperature or differs by direction: a width, a harmonic; and what two travels do
-    together."""
+    """What changes with time or temperature or differs by direction: a width, a harmonic, a run along a travel; and
+    what two travels do together."""
     varying = {name: values[inside].astype(float) for name, values in channel.covariates.items()
                if _varies(values, inside)}
-    angles = [name for name in varying if channel.units.get(name) in ("rad", "deg")]
-    for run in (name for name in ("time", "temperature_difference") if name in varying):
-        scaled = _scaled(varying[run])
-        for name, values in varying.items():
-            if name in angles:
-                for order in (1, 2):
-                    yield (f"{name} and {run}", f"harmonic {order} that changes with {run}",
-                           scaled[:, None] * _turning(order * values))
-            elif name != run and len(np.unique(values)) <= 3:
-                yield (f"{name} and {run}", f"difference between {name} that changes with {run}",
-                       (scaled * values)[:, None])
-    for name in varying:
-        if name.startswith(("direction", "approach")):
-            for angle in angles:
-                for order in (1, 2, 3):
-                    yield (f"{angle} and {name}", f"harmonic {order} that differs by {name}",
-                           varying[name][:, None] * _turning(order * varying[angle]))
-    for one, other in combinations([name for name in varying if name.split()[0] == "travel"], 2):
-        yield f"{one} and {other}", "product", (_scaled(varying[one]) * _scaled(varying[other]))[:, None]
+    travels = {name: _scaled(v) for name, v in varying.items() if name.startswith(PLACES) and len(np.unique(v)) > 4}
+    shapes = [(name, f"harmonic {order}", _turning(order * varying[name])) for name in varying
+              if channel.units.get(name) in ("rad", "deg") for order in (1, 2, 3)]
+    shapes += [(name, f"{waves} waves", _turning(np.pi * waves * v)) for name, v in travels.items() for waves in (1, 2)]
+    shapes += [(name, "trend", v[:, None]) for name, v in travels.items()]
+    for run in ("time", "temperature_difference"):
+        if run in varying:
+            shapes += [(name, "difference", v[:, None]) for name, v in varying.items()
+                       if name != run and len(np.unique(v)) <= 3]
+    for run in varying:
+        by_direction = run == "direction" or run.startswith("approach")
+        if run in ("time", "temperature_difference") or by_direction:
+            how = "differs by" if by_direction else "changes with"
+            for name, shape, columns in shapes:
+                other_axis = by_direction and " " in run and " " in name and run.split()[-1] != name.split()[-1]
+                if name != run and not other_axis:
+                    yield f"{name} and {run}", f"{shape} that {how} {run}", _scaled(varying[run])[:, None] * columns
+    for one, other in combinations([name for name in travels if name.startswith("travel")], 2):
+        yield f"{one} and {other}", "product", (travels[one] * travels[other])[:, None]
 
 
 def _turning(angle: Array) -> Array:
