@@ -47,6 +47,7 @@ from calib.units import arcsec, degree, mm
 
 accepts = ("problems.gimbal",)
 FIELD = 20 * degree         # what a camera can see to the side; a target beyond it is another one
+LARGEST_MISS = 1 * degree   # more than errors of manufacture: another sign, unit or target
 FREE = ("sighting_error (sight)", "EY0A (A)", "EB0A (A)", "encoder_1x_C (C)", "encoder_1x_A (A)")
 columns = {
     "images": {"C, A": "commanded angles", "target": "name", "right, up": "where it stands in the image, angles",
@@ -127,14 +128,19 @@ def from_job(job: Job) -> Problem:
         raise InputError(f"{table.path}, row {table.row_numbers[beyond[0]]}: the target stands "
                          f"{np.abs(seen[beyond[0]]).max() / degree:.3g} degrees off the middle of the image; check the "
                          "unit of the columns right and up.")
+    checked_positions(gimbal(), positions, table.row_numbers, str(table.path))
     targets = np.array([places[name] for name in names])
+    field, miss = rough_field(positions, targets, seen)
+    if miss > LARGEST_MISS:
+        raise InputError(f"{table.path}: the images miss the gimbal as it is designed by {miss / degree:.3g} degrees "
+                         "(rms); check the signs of right and up, of C and A, and the names of the targets.")
     approach = {axis: table.number(f"{axis}_approach") for axis in "CA" if table.has(f"{axis}_approach")}
-    return declare(positions, targets, seen, job.options.quantity("u", "angle"), rough_field(positions, targets, seen),
+    return declare(positions, targets, seen, job.options.quantity("u", "angle"), field,
                    job.options.texts("free", FREE), names, approach, table.row_numbers)
 
 
-def rough_field(positions: np.ndarray, targets: np.ndarray, images: np.ndarray) -> geometry.Transform:
-    """field_from_base from targets (n, 3) [m] and their images (n, 2) [rad] by the nominal geometry.
+def rough_field(positions: np.ndarray, targets: np.ndarray, images: np.ndarray) -> tuple[geometry.Transform, float]:
+    """field_from_base from targets (n, 3) [m] and images (n, 2) [rad] by the nominal geometry; rms miss of lines [rad].
 
     A target lies on its line of sight at a distance that is not measured: guessed from the middle of the targets, then
     taken from the place found, until it stands still.
@@ -142,11 +148,12 @@ def rough_field(positions: np.ndarray, targets: np.ndarray, images: np.ndarray) 
     rotations, _ = gimbal().poses("camera", positions)
     ahead = np.stack([np.tan(images[:, 0]), np.ones(len(images)), np.tan(images[:, 1])], axis=1)
     lines = np.einsum("nij,nj->ni", rotations, ahead / np.linalg.norm(ahead, axis=1)[:, None])
-    place = geometry.Transform(np.eye(3), targets.mean(axis=0))
+    place, distance = geometry.Transform(np.eye(3), targets.mean(axis=0)), np.zeros(len(targets))
     for _ in range(100):
         distance = np.linalg.norm(targets - place.translation, axis=1)
         place = nearest_motion(targets, lines * distance[:, None])
-    return place
+    missed = np.linalg.norm(targets - place @ (lines * distance[:, None]), axis=1) / distance
+    return place, float(np.sqrt(np.mean(missed ** 2)))
 
 
 def heldout(job: Job, estimate: Estimate) -> list[tuple[str, float, float, str]]:

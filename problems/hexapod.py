@@ -26,6 +26,7 @@ from calib import (
     Unknown,
     geometry,
     hands_slots_to,
+    predict,
     prior,
     simulate,
 )
@@ -33,7 +34,8 @@ from calib.analyse.shapes import points_of
 from calib.job import Job
 from calib.mechanism import observe
 from calib.mechanism.heldout import misses, rms
-from calib.mechanism.loop import leg_length
+from calib.mechanism.inputs import other_quaternion_order
+from calib.mechanism.loop import leg_length, refuse_open
 from calib.mechanism.scene import placed
 from calib.scene import Points, Scene, Sights
 from calib.units import mm, mrad, ppm, um, urad
@@ -41,6 +43,8 @@ from calib.units import mm, mrad, ppm, um, urad
 accepts = ("problems.hexapod",)
 LEGS = 6
 BLOCKS = 5
+ZERO = 0.30             # reading less distance of the joints, as designed [m]
+LARGEST_GAP = 20 * mm   # more than errors of manufacture: another unit, sign, frame or order of the legs
 columns = {"poses": {"x, y, z": "place of the target", "qw, qx, qy, qz": "its orientation", "leg1 .. leg6": "encoder "
                                                                                                             "readings"}}
 options = {"u_position, u_orientation": "standard uncertainty of a measured pose, each component", "u_leg": "of a leg "
@@ -91,7 +95,7 @@ def declare(places: ArrayLike, rotations: ArrayLike, legs: ArrayLike | None, u_p
     keys = [str(i + 1) for i in range(LEGS)]
     base_joint, platform_joint = Unknown("base_joint", base, "mm", keys=keys), Unknown("platform_joint", top, "mm",
                                                                                        keys=keys)
-    zero = Unknown("zero", np.full((LEGS, 1), 0.30), "mm", keys=keys)
+    zero = Unknown("zero", np.full((LEGS, 1), ZERO), "mm", keys=keys)
     platform = Pose("platform", rotations, places, unit="mm", angle_unit="mrad")
     pose, leg = np.repeat(np.arange(n), LEGS), np.tile(np.arange(LEGS), n)
     measured = None if legs is None else observe.pose_readings(places, rotations)
@@ -105,7 +109,7 @@ def declare(places: ArrayLike, rotations: ArrayLike, legs: ArrayLike | None, u_p
                      rows=rows),
         prior(base_joint, base, u_joint, name="tolerance of base joints"),
         prior(platform_joint, top, u_joint, name="tolerance of platform joints"),
-        prior(zero, 0.30, u_zero, name="tolerance of zero lengths")]
+        prior(zero, ZERO, u_zero, name="tolerance of zero lengths")]
     return Problem(observations, effects=effects(), name="hexapod")
 
 
@@ -121,18 +125,35 @@ def commands(problem: Problem, wanted: geometry.Transform) -> Quantity:
 
 
 def from_job(job: Job) -> Problem:
-    """Declare the hexapod of a job: table [data.poses] with the pose and the six leg readings of each posture."""
+    """Declare the hexapod of a job: table [data.poses] with the pose and the six leg readings of each posture.
+
+    Raises InputError for quaternions of another length or in the other order, and legs that do not reach from joint to
+    joint.
+    """
     table, said = job.table("poses"), job.options
     w, x, y, z = (table.number(name) for name in ("qw", "qx", "qy", "qz"))
-    rotations = observe.rotations_from_quaternions(w, x, y, z, where=str(table.path),
-                                                   rows=table.row_numbers)
     places = np.stack([table.number(n, "length") for n in "xyz"], axis=1)
     legs = np.stack([table.number(f"leg{i + 1}", "length") for i in range(LEGS)], axis=1)
+    where, rows = str(table.path), table.row_numbers
+    rotations, *others = (observe.rotations_from_quaternions(*q, where=where, rows=rows)
+                          for q in ((w, x, y, z), (z, w, x, y), (x, y, z, w)))
+    gaps = open_legs(places, rotations, legs)
+    # a gap at the joints of the platform is a turn of it
+    arm = float(np.linalg.norm(joints()[1], axis=1).mean())
+    turn, *turns = (float(np.sqrt(np.mean(open_legs(places, r, legs) ** 2))) / arm for r in (rotations, *others))
+    other_quaternion_order(turn, min(turns), where)
+    refuse_open(gaps, [f"through leg {i + 1}" for i in range(LEGS)], LARGEST_GAP, where, rows)
     return declare(places, rotations, legs, said.quantity("u_position", "length"),
-                   said.quantity("u_orientation", "angle"),
-                   said.quantity("u_leg", "length"), said.quantity("u_joint", "length"),
-                   said.quantity("u_zero", "length"),
-                   table.row_numbers)
+                   said.quantity("u_orientation", "angle"), said.quantity("u_leg", "length"),
+                   said.quantity("u_joint", "length"), said.quantity("u_zero", "length"), rows)
+
+
+def open_legs(places: np.ndarray, rotations: np.ndarray, legs: np.ndarray) -> np.ndarray:
+    """By how much (n, 6) [m] each leg misses the distance of its joints, by the nominal geometry."""
+    base, top = joints()
+    held = {"base_joint": base, "platform_joint": top, "zero": np.full((LEGS, 1), ZERO)}
+    planned = declare(places, rotations, None, 1.0, 1.0, 1.0, 1.0, 1.0)
+    return legs - predict(planned, held)["legs"].reshape(legs.shape)
 
 
 def in_columns(observations: Observations) -> tuple[str, dict[str, np.ndarray]] | None:
@@ -154,7 +175,7 @@ def heldout(job: Job, estimate: Estimate) -> list[tuple[str, float, float, str]]
 
 TRUTH = {"base_joint": joints()[0] + np.random.default_rng(5).normal(0, 0.5 * mm, (LEGS, 3)),
          "platform_joint": joints()[1] + np.random.default_rng(6).normal(0, 0.5 * mm, (LEGS, 3)),
-         "zero": 0.30 + np.random.default_rng(7).normal(0, 1 * mm, (LEGS, 1))}
+         "zero": ZERO + np.random.default_rng(7).normal(0, 1 * mm, (LEGS, 1))}
 
 
 def planned(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -22,7 +22,7 @@ from calib.errors import InputError
 from calib.job import Job
 from calib.mechanism import Frame, Linear, Mechanism, location_errors, observe, scale
 from calib.mechanism.heldout import misses, rms
-from calib.mechanism.loop import held_by
+from calib.mechanism.loop import held_by, refuse_open
 from calib.mechanism.start import nearest_motion
 from calib.mechanism.tolerance import tolerances
 from calib.units import mm, mrad, um
@@ -33,6 +33,7 @@ BALLS = {key: np.array(place) - (0.0, 0.0, 1.0) for key, place in LOCATORS.items
 AXES = tuple(f"{key}{axis}" for key in LOCATORS for axis in "XYZ")
 DRIVEN = ("AX", "AY", "AZ", "BY", "BZ", "CZ")       # the paper's choice of six
 BLOCKS = 5
+LARGEST_GAP = 10 * mm       # more than errors of manufacture: another unit, sign or zero
 columns = {"axes": {"setting": "number", "AX, AY ... CZ": "travel of each axis that is read"},
            "targets": {"setting": "number", "target": "name", "x, y, z": "in the tracker's frame"},
            "part": {"target": "name", "x, y, z": "in the part's frame"}}
@@ -118,7 +119,15 @@ def from_job(job: Job) -> Problem:
                              if name in places else f"target '{name}' is not in {known.path}") + "; add it there.")
     index = np.array([settings.index(s) for s in seen.whole("setting")])
     targets = np.array([places[name] for name in seen.text("target")])
-    world, parts, travels = rough_poses(travels, read, index, targets, points)
+    for setting in range(len(settings)):
+        if np.sum(index == setting) < 3:
+            raise InputError(f"{seen.path}: {np.sum(index == setting)} targets are seen in setting "
+                             f"{settings[setting]}, and a pose needs three; measure more, or leave that setting out.")
+    recorded, (world, parts, travels) = travels, rough_poses(travels, read, index, targets, points)
+    chosen = [AXES.index(axis) for axis in read]
+    following = np.array([[(p @ BALLS[key] - LOCATORS[key])[i] for key in LOCATORS for i in range(3)] for p in parts])
+    refuse_open((following - recorded)[:, chosen], [f"through {axis}" for axis in read], LARGEST_GAP, str(table.path),
+                table.row_numbers)
     u = {name: job.options.quantity(name, "angle" if name == "u_tilt" else "length")
          for name in ("u_axis", "u_target", "u_seat", "u_ball", "u_zero", "u_tilt")}
     return declare(read, travels, parts, index, targets, points, world, **u, rows=(table.row_numbers, seen.row_numbers))

@@ -28,6 +28,7 @@ from calib.units import mm, um
 
 accepts = ("problems.machine_21",)
 BLOCKS = 5
+LARGEST_MISS = 10 * mm      # more than errors of manufacture: another unit, sign or reflector
 SQUARENESS = ("EC0Y (Y)", "EA0Z (Z)", "EB0Z (Z)")
 OFFSETS = np.array([[0.0, 0.0, -0.10], [0.15, 0.0, -0.12], [0.0, 0.15, -0.20]])
 columns = {"points": {"X, Y, Z": "commanded positions", "reflector": "name", "x, y, z": "in the tracker's frame"}}
@@ -88,14 +89,21 @@ def from_job(job: Job) -> Problem:
     points = np.stack([table.number(name, "length") for name in "xyz"], axis=1)
     offsets = dict(zip(mounted.text("reflector"), np.stack([mounted.number(n, "length") for n in "xyz"], axis=1),
                        strict=True))
-    reflector = table.text("reflector")
+    reflector, where = table.text("reflector"), str(table.path)
+    checked_positions(machine(), positions, table.row_numbers, where)
     lacking = [r for r in dict.fromkeys(reflector) if r not in offsets]
     if lacking:
-        raise InputError(f"{table.path}: reflector '{lacking[0]}' has no offset in {mounted.path}; add its row there.")
+        raise InputError(f"{where}: reflector '{lacking[0]}' has no offset in {mounted.path}; add its row there.")
     nominal = positions + np.array([offsets[r] for r in reflector])
+    world = nearest_motion(points, nominal)
+    missed = np.linalg.norm(points - world @ nominal, axis=1)
+    if np.sqrt(np.mean(missed ** 2)) > LARGEST_MISS:
+        raise InputError(f"{where}: the points miss the machine as it is designed by "
+                         f"{np.sqrt(np.mean(missed ** 2)) / mm:.3g} mm (rms), most in row "
+                         f"{table.row_numbers[np.argmax(missed)]}; check signs, order and units of the columns, and "
+                         "the names of the reflectors.")
     return declare(positions, reflector, points, job.options.quantity("u", "length"), offsets,
-                   nearest_motion(points, nominal),
-                   job.options.quantity("u_offset", "length", 0.2 * mm),
+                   world, job.options.quantity("u_offset", "length", 0.2 * mm),
                    job.options.quantity("u_motion", "length", 50 * um),
                    job.options.quantity("u_turn", "angle", 100e-6), table.row_numbers)
 

@@ -25,7 +25,7 @@ from calib.errors import InputError
 from calib.job import Job
 from calib.mechanism import Frame, Mechanism, Rotary, encoder_harmonic, location_errors, observe
 from calib.mechanism.heldout import in_order, misses, postures, rms
-from calib.mechanism.inputs import checked_positions
+from calib.mechanism.inputs import checked_positions, unlike_the_mechanism
 from calib.mechanism.relation import crossing, parallelism
 from calib.mechanism.start import place_of_points, places_on
 from calib.units import arcsec, degree, mm, um
@@ -124,6 +124,10 @@ def from_job(job: Job) -> Problem:
     if MARK not in reflector or not on_seeker.any():
         raise InputError(f"{table.path}: there is no reflector {MARK if on_seeker.any() else 'on the seeker'}; call "
                          f"those on the seeker S1, S2 ..., those on the target T1, T2 ...; the camera sees {MARK}.")
+    for one, angles in ((table, positions), (seen, looking)):
+        checked_positions(simulator(), angles, one.row_numbers, str(one.path))
+    for frame, chosen in zip(FRAMES, (on_seeker, on_target), strict=True):
+        unlike_the_mechanism(simulator(), frame, positions[chosen], reflector[chosen], points[chosen], str(table.path))
     world, places = place_of_points(simulator(), "seeker", positions[on_seeker], reflector[on_seeker],
                                     points[on_seeker])
     places |= places_on(simulator(), "target", positions[on_target], reflector[on_target], points[on_target], world)

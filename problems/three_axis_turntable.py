@@ -19,7 +19,7 @@ from calib import Effect, Estimate, Observations, Pose, Problem, Unknown, geomet
 from calib.job import Job
 from calib.mechanism import Frame, Mechanism, Rotary, encoder_harmonic, error_motion, location_errors, observe
 from calib.mechanism.heldout import in_order, misses, postures, rms
-from calib.mechanism.inputs import checked_positions
+from calib.mechanism.inputs import checked_positions, unlike_the_mechanism
 from calib.mechanism.relation import crossing
 from calib.mechanism.scene import measured
 from calib.mechanism.start import place_of_points
@@ -86,6 +86,8 @@ def from_job(job: Job) -> Problem:
     points = np.stack([table.number(name, "length") for name in "xyz"], axis=1)
     u, free = job.options.quantity("u", "length"), job.options.texts("free", ())
     reflector = table.text("reflector")
+    checked_positions(turntable(), positions, table.row_numbers, str(table.path))
+    unlike_the_mechanism(turntable(), "table", positions, reflector, points, str(table.path))
     world, places = place_of_points(turntable(), "table", positions, reflector, points)
     return declare(positions, reflector, points, u, world, places, free, table.row_numbers)
 

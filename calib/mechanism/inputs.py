@@ -12,6 +12,8 @@ from calib.errors import InputError
 from calib.mechanism.axis import Array
 from calib.units import degree
 
+UNLIKE = 0.02       # of the extent of the points: more than errors of manufacture
+
 
 def checked_positions(mechanism: Any, positions: ArrayLike, rows: ArrayLike | None = None, where: str = "",
                       slack: float = 1e-3) -> Array:
@@ -49,16 +51,43 @@ def _within_limits(axes: Any, values: Array, numbers: NDArray, start: str, slack
         if not len(outside):
             continue
         worst = values[outside[np.argmax(np.abs(values[outside, j]))], j]
-        radians = values[:, j] * degree
-        if axis.is_rotary and abs(worst) > 7.0 and np.all((radians > lower - slack) & (radians < upper + slack)):
-            raise InputError(f"{start}axis '{axis.name}' goes to {worst:.4g} rad, beyond its limits {lower:.4g} .. "
-                             f"{upper:.4g} rad; "
-                             f"divided by 57.3 all values are within: these are degrees given as radians. Say the unit "
-                             "(positions = \"deg\"), or convert them.")
+        # what a unit that was forgotten would make of it: (factor, least size, its name)
+        factor, least, forgotten = (degree, 7.0, "degrees given as radians") if axis.is_rotary else (
+            1e-3, 10.0, "millimetres given as metres")
+        smaller = values[:, j] * factor
+        if abs(worst) > least and np.all((smaller > lower - slack) & (smaller < upper + slack)):
+            raise InputError(f"{start}axis '{axis.name}' goes to {worst:.4g} {axis.unit}, beyond its limits "
+                             f"{lower:.4g} .. {upper:.4g} {axis.unit}; divided by {1 / factor:.4g} all values are "
+                             f"within: these are {forgotten}. Say the unit (in the header of the column, or positions "
+                             "= \"deg\" for joint files), or convert them.")
         raise InputError(f"{start}row {numbers[outside[0]]}: axis '{axis.name}' is at {values[outside[0], j]:.5g} "
                          f"{axis.unit}, outside "
                          f"its limits {lower:.5g} .. {upper:.5g} ({len(outside)} of {len(values)} rows are); check "
                          "the order and the unit of the columns, or widen the limits.")
+
+
+def unlike_the_mechanism(mechanism: Any, frame: str, positions: ArrayLike, names: Any, points: ArrayLike, where: str
+                         ) -> None:
+    """Raise InputError where measured points miss the nominal mechanism by more than errors of manufacture do.
+
+    Arguments as of `calib.mechanism.start.place_of_points`; where: the file. What would mend it is looked for and
+    named: degrees given as radians, an axis that turns or moves the other way.
+    """
+    from calib.mechanism.start import misfit_of_points
+    values, measured = np.asarray(positions, float), np.asarray(points, float)
+    enough = UNLIKE * float(np.sqrt(np.mean(np.sum((measured - measured.mean(axis=0)) ** 2, axis=1))))
+    found = misfit_of_points(mechanism, frame, values, names, measured, enough)
+    if found < enough:
+        return
+    rotary = np.array([axis.is_rotary for axis in mechanism.axes])
+    tries = [("the angles are degrees given as radians", np.where(rotary, values * degree, values))]
+    tries += [(f"the axis '{axis.name}' counts the other way", values * (1.0 - 2.0 * (np.arange(len(rotary)) == i)))
+              for i, axis in enumerate(mechanism.axes)]
+    said, best = min(((words, misfit_of_points(mechanism, frame, tried, names, measured, enough))
+                      for words, tried in tries), key=lambda item: item[1])
+    cure = (f"it would be {best * 1e3:.3g} mm if {said}. Correct that." if best < 0.2 * found else
+            "check signs, order and units of the columns, and the names of the points.")
+    raise InputError(f"{where}: the points miss the mechanism as it is designed by {found * 1e3:.3g} mm (rms); {cure}")
 
 
 def other_quaternion_order(misfit: float, misfit_of_other: float, where: str) -> None:

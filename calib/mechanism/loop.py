@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -80,14 +80,24 @@ def check_closed(mechanism: Mechanism, first: str, second: str, positions: Array
     (r1, t1), (r2, t2) = mechanism.poses(first, rows), mechanism.poses(second, rows)
     gap = np.linalg.norm(r1 @ np.asarray(point_on_first, float) + t1 - r2 @ np.asarray(point_on_second, float) - t2,
                          axis=1)
-    worst = int(np.argmax(gap))
-    if gap[worst] > tolerance:
-        raise InputError(f"{where + ': ' if where else ''}the loop of '{first}' and '{second}' is not closed: in row "
-                         f"{worst + 1} "
-                         f"the two ends are {gap[worst] * 1e3:.3g} mm apart, {int(np.sum(gap > tolerance))} of "
-                         f"{len(gap)} rows are "
-                         f"beyond {tolerance * 1e3:.3g} mm; check signs, units and zeros of the positions, or the "
-                         "points.")
+    refuse_open(gap[:, None], [f"of '{first}' and '{second}'"], tolerance, where)
+
+
+def refuse_open(gaps: ArrayLike, loops: Sequence[str], tolerance: float, where: str = "",
+                rows: ArrayLike | None = None) -> None:
+    """Raise InputError, with row and gap, where loops do not close within what errors of manufacture may explain.
+
+    gaps: (n, k) by which k loops miss in n rows, by the nominal geometry [m]; loops: what each of them is, for the
+    message; tolerance: [m]; where: the file, rows: (n,) numbers in it.
+    """
+    size = np.abs(np.asarray(gaps, float))
+    row, loop = divmod(int(np.argmax(size)), size.shape[1])
+    if size[row, loop] > tolerance:
+        number = row + 1 if rows is None else np.asarray(rows)[row]
+        beyond = int(np.sum(size.max(axis=1) > tolerance))
+        raise InputError(f"{where + ': ' if where else ''}the loop {loops[loop]} is not closed: in row {number} the "
+                         f"two ends are {size[row, loop] * 1e3:.3g} mm apart, {beyond} of {len(size)} rows are beyond "
+                         f"{tolerance * 1e3:.3g} mm; check signs, units and zeros of the positions, or the points.")
 
 
 def leg_length(platform: Any, base_point: Any, platform_point: Any, offset: Any, *, leg: Any = direct) -> Any:

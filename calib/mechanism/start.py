@@ -8,10 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib import geometry
-from calib.errors import InputError
+from calib.errors import CalibrationError, InputError
 from calib.geometry import Transform
 from calib.mechanism.axis import Array
 from calib.mechanism.chain import Mechanism
+from calib.mechanism.observe import measured_point
+from calib.observations import Observations, prior
+from calib.problem import Problem
+from calib.solve.estimate import predict, solve
+from calib.unknown import Pose, Unknown
 
 
 def nearest_rotation(matrix: Array) -> Array:
@@ -28,7 +33,7 @@ def nearest_motion(points: ArrayLike, nominal: ArrayLike) -> Transform:
     measured, designed = np.asarray(points, float), np.asarray(nominal, float)
     centre, middle = measured.mean(axis=0), designed.mean(axis=0)
     spread = np.linalg.svd(designed - middle, compute_uv=False)
-    if len(designed) < 3 or spread[1] < 1e-6 * spread[0]:
+    if len(designed) < 3 or not spread[1] > 1e-6 * spread[0]:
         raise InputError("the points lie on one line, about which the mechanism may stand at any angle; measure points "
                          "off it.")
     rotation = nearest_rotation((measured - centre).T @ (designed - middle))
@@ -93,6 +98,32 @@ def place_of_points(mechanism: Mechanism, frame: str, positions: ArrayLike, name
     fixed[:, :, -3:] = np.eye(3)
     places = np.linalg.lstsq(fixed.reshape(-1, fixed.shape[2]), (measured - origins @ turn.T).ravel(), rcond=None)[0]
     return Transform(turn, places[-3:]), dict(zip(known, places[:-3].reshape(-1, 3), strict=True))
+
+
+def misfit_of_points(mechanism: Mechanism, frame: str, positions: ArrayLike, names: Sequence[object] | Array,
+                     points: ArrayLike, enough: float) -> float:
+    """Rms [m] by which points miss a mechanism at its best place; arguments as of `place_of_points`.
+
+    enough: a misfit [m] below which the closed form will do; above it the place is adjusted, because the closed form is
+    no better than its postures where these leave some products open.
+    """
+    world, places = place_of_points(mechanism, frame, positions, names, points)
+    index = np.array([list(places).index(str(n)) for n in names])
+    start = np.array(list(places.values()))
+    where = Unknown("point", start, keys=list(places))
+    observations = Observations(measured_point(mechanism.pose(frame)), Pose("world", world.rotation, world.translation),
+                                np.asarray(positions, float), where[index], readings=points, u=1.0, group="points")
+    closed_form = observations.recorded - predict(Problem([observations]))["points"]
+    found = float(np.sqrt(np.mean(np.sum(closed_form ** 2, axis=1))))
+    if found < enough:
+        return found
+    # points that the postures leave open stay where they are
+    loosely = prior(where, start, 1e3, name="start")
+    try:
+        adjusted = solve(Problem([observations, loosely])).residuals["points"]
+    except CalibrationError:
+        return found
+    return min(found, float(np.sqrt(np.mean(np.sum(adjusted ** 2, axis=1)))))
 
 
 def places_on(mechanism: Mechanism, frame: str, positions: ArrayLike, names: Sequence[object] | Array,
