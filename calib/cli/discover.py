@@ -30,6 +30,7 @@ def discover(job: Path, level: float, problem_file: Path | None, output: Output)
     """
     from calib.workflow.discrepancy.answer import answer
     from calib.workflow.discrepancy.explain import explain
+    from calib.workflow.discrepancy.shown import Shown
     from calib.workflow.discrepancy.split import held_out_rows
 
     read = Job.read(job)
@@ -38,7 +39,8 @@ def discover(job: Path, level: float, problem_file: Path | None, output: Output)
     with output.progress(f"explaining {job.name}", 1) as step:
         found = explain(problem, level, check, remarks=(remark,) if remark else ())
         step()
-    content = answer(_name(read), found)
+    shown = Shown(found, level)
+    content = answer(_name(read), found, shown)
     output.result(content)
     say(output, found)
     if output.folder is not None:
@@ -48,7 +50,7 @@ def discover(job: Path, level: float, problem_file: Path | None, output: Output)
         origin = provenance([*read.files, *([problem_file] if problem_file else [])], typed())
         output.wrote(
             files.write_json(output.path("answer.json"), content),
-            discovery.write(_name(read), found, origin, output.path("report.html")),
+            discovery.write(_name(read), shown, origin, output.path("report.html")),
         )
     return DONE
 
@@ -75,6 +77,6 @@ def say(output: Output, found: Explanation) -> None:
     if found.heldout_rms is not None:
         output.say(f"  on held-out rows:  {found.heldout_rms[0]:.3g} before, {found.heldout_rms[1]:.3g} after")
     if found.next_measurement:
-        output.prose(f"To decide: {found.next_measurement}.")
+        output.prose(f"To measure next: {found.next_measurement}.")
     for remark in found.remarks:
         output.prose(remark)

@@ -10,28 +10,33 @@ import numpy as np
 from calib import files, units
 from calib.report import numbers, plots
 from calib.report.provenance import Provenance
-from calib.report.template import Drawing, Grid, render
+from calib.report.template import Cell, Drawing, Grid, render
 from calib.workflow.discrepancy.answer import in_case_units
 from calib.workflow.discrepancy.conclusion import Explanation
 from calib.workflow.discrepancy.picture import Picture, Separation, pictures, separation
+from calib.workflow.discrepancy.shown import Shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RANKED = 14  # candidates in the ranking
-DRAWN = 2  # channels whose residuals are drawn
+DRAWN = 3  # channels whose residuals are drawn
+FEW = 6  # values of a covariate that are marked one by one
+LISTED = 30  # rows of a table that somebody reads
 
 
-def write(case: str, found: Explanation, provenance: Provenance, path: str | Path) -> Path:
+def write(case: str, shown: Shown, provenance: Provenance, path: str | Path) -> Path:
     """Write report.html, whole or not at all.
 
-    case: its name; found: the explanation; provenance: of the run; path: of the file. Returns the path.
+    case: its name; shown: the explanation with what is shown of it; provenance: of the run; path: of the file.
+    Returns the path.
     """
-    return files.write_text(path, html(case, found, provenance))
+    return files.write_text(path, html(case, shown, provenance))
 
 
-def html(case: str, found: Explanation, provenance: Provenance) -> str:
+def html(case: str, shown: Shown, provenance: Provenance) -> str:
     """The page as text; arguments as for `write`."""
+    found = shown.found
     return render(
         "discovery.html.j2",
         title=case,
@@ -41,12 +46,13 @@ def html(case: str, found: Explanation, provenance: Provenance) -> str:
         good=found.verdict == "consistent",
         next_measurement=found.next_measurement,
         effects=_effects(found),
-        gap=_gap(found),
-        results=_results(found),
+        gap=_gap(shown),
+        results=_results(shown),
         drawings=[Drawing.of(_before_and_after(one), f"gap {i}", one.caption)
-                  for i, one in enumerate(pictures(found, DRAWN))],
+                  for i, one in enumerate(pictures(shown, DRAWN))],
         ranking=_ranking(found),
-        alias_map=_alias_map(separation(found)),
+        alias_map=_alias_map(separation(shown)),
+        detectable=_detectable(shown),
         where=_places(found.where),
         structure=_places(found.structure),
         noise=Grid(["look", "where", "figure", "p"], [[t.what, t.where, numbers.plain(t.figure, 3),
@@ -69,44 +75,42 @@ def _effects(found: Explanation) -> Grid | None:
     return Grid(header, rows).without_empty() if rows else None
 
 
-def _gap(found: Explanation) -> Grid:
-    rows = [["all rows", numbers.plain(found.rms[0], 4), numbers.plain(found.rms[1], 4)]]
-    if found.heldout_rms is not None:
-        rows.append(["held-out rows", *(numbers.plain(r, 4) for r in found.heldout_rms)])
-    for name in found.before.residuals:
-        pair = [_group_rms(estimate, name) for estimate in (found.before, found.after)]
-        if len(found.before.residuals) > 1 and None not in pair:
-            rows.append([name, *(numbers.plain(p, 4) for p in pair if p is not None)])
-    return Grid(["root mean square of residual/u", "before", "after"], rows)
+def _gap(shown: Shown) -> Grid:
+    """The gap of all readings, then of every group: root mean square, variance factor, held-out readings."""
+    found = shown.found
+    rows = [_gap_row("all readings", sum(g.readings for g in shown.gaps), found.rms, shown.variance_factor,
+                     found.heldout_rms)]
+    if len(shown.gaps) > 1:
+        rows += [_gap_row(g.group, g.readings, g.rms, g.variance_factor, g.heldout) for g in shown.gaps[:LISTED]]
+    header = ["", "readings", "rms of r/u before", "after", "variance factor before", "after"]
+    return Grid([*header, "rms on held-out readings before", "after"], rows)
 
 
-def _group_rms(estimate: object, name: str) -> float | None:
-    from calib.linearisation import linearise
-
-    groups = {g.name: g for g in linearise(estimate).groups}
-    if name not in groups or not groups[name].size:
-        return None
-    return float(np.sqrt(groups[name].objective / groups[name].size))
+def _gap_row(name: str, readings: int, *pairs: tuple[float, float] | None) -> list[str]:
+    return [name, str(readings), *(numbers.plain(one, 4) for pair in pairs for one in pair or (None, None))]
 
 
-def _results(found: Explanation) -> Grid | None:
+def _results(shown: Shown) -> Grid | None:
     """What the discovery does to the results: value and u before and after."""
-    if found.after is found.before:
-        return None
-    from calib.analyse.covariance import covariance
-    from calib.linearisation import linearise
-
-    free = [u for u in found.before.problem.unknowns if not found.before.problem.is_held(u).all() and u.count <= 6]
-    first = covariance(linearise(found.before), *found.before.problem.quantities, *free)
-    second = covariance(linearise(found.after), *found.before.problem.quantities, *free)
     rows = []
-    for i, (name, unit) in enumerate(zip(first.names, first.units, strict=True)):
-        scale = units.factor(unit)
-        pair = [numbers.with_uncertainty(c.values[i] / scale, c.u[i] / scale) for c in (first, second)]
-        moved = (second.values[i] - first.values[i]) / first.u[i] if first.u[i] > 0 else 0.0
-        rows.append([name, *pair[0], *pair[1], "" if unit == "1" else unit, numbers.plain(moved, 2)])
+    for one in shown.results[:LISTED]:
+        pair = [numbers.with_uncertainty(*both) for both in (one.before, one.after)]
+        moved = f"{one.in_u:+.2f}".replace("-", numbers.MINUS)
+        rows.append([one.name, *pair[0], *pair[1], "" if one.unit == "1" else one.unit, moved])
     header = ["result", "before", "u", "after", "u", "unit", "moved by, in u"]
     return Grid(header, rows) if rows else None
+
+
+def _detectable(shown: Shown) -> Grid | None:
+    """How large each effect would have to be to show, those first that could hide at a usual size."""
+    rows: list[list[str | Cell]] = []
+    order = sorted(shown.detectable, key=lambda one: one.size / one.usual[1], reverse=True)
+    for one in order[:LISTED]:
+        verdict = Cell("never", "warning") if not np.isfinite(one.size) else \
+            Cell("only where larger than usual", "warning") if one.size > one.usual[1] else Cell("yes", "good")
+        rows.append([one.effect, one.parameter, numbers.plain(one.size, 2),
+                     f"{numbers.plain(one.usual[0], 2)} to {numbers.plain(one.usual[1], 2)}", one.unit, verdict])
+    return Grid(["effect", "parameter", "shows from", "usual", "unit", "would be found"], rows) if rows else None
 
 
 def _before_and_after(one: Picture) -> Figure:
@@ -123,6 +127,10 @@ def _before_and_after(one: Picture) -> Figure:
                        label=f"{one.key_label.replace('_', ' ')} {key}")
         ax.set_title(title, loc="left")
         ax.set_xlabel(one.label)
+        levels = np.unique(one.x)
+        if len(levels) <= FEW:
+            ax.set_xticks(levels)
+            ax.set_xlim(levels[0] - 0.25 * np.ptp(levels), levels[-1] + 0.25 * np.ptp(levels))
     axes[0].set_ylabel("residual / u")
     reach = 1.08 * max(3.0, float(np.max(np.abs(one.before))))
     for ax in axes:
@@ -169,6 +177,6 @@ def _places(places: tuple) -> Grid | None:  # type: ignore[type-arg]
 
 def _hidden(found: Explanation) -> Grid | None:
     rows = []
-    for h in found.hidden[:30]:
+    for h in found.hidden[:LISTED]:
         rows.append([h.effect, h.quantity, numbers.plain(h.u_added / units.factor(h.unit), 3), h.unit])
     return Grid(["effect", "result", "u it could add", "unit"], rows) if rows else None

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from calib import units
 from calib.workflow.discrepancy.conclusion import Explanation, NamedEffect
+from calib.workflow.discrepancy.shown import Shown
 from calib.workflow.discrepancy.structure import Place
 
 # A cosine error is declared by kappa = 1/cos(beta) - 1, whose derivative at zero is not zero; answers give beta.
@@ -15,12 +17,13 @@ COSINE, KAPPA, BETA = "cosine", "kappa", "beta"
 LISTED = 12
 
 
-def answer(case: str, found: Explanation) -> dict[str, Any]:
+def answer(case: str, found: Explanation, shown: Shown | None = None) -> dict[str, Any]:
     """The content of answer.json.
 
-    case: name of the case or job; found: its explanation. Returns a dictionary of plain values; what could not be
-    judged (held-out rows where there are none) is null.
+    case: name of the case or job; found: its explanation; shown: the same with what its page shows, if it is there.
+    Returns a dictionary of plain values; what could not be judged (held-out rows where there are none) is null.
     """
+    shown = shown or Shown(found)
     return {
         "format": 1,
         "case": case,
@@ -31,16 +34,26 @@ def answer(case: str, found: Explanation) -> dict[str, Any]:
         "outlier_rows": list(found.outlier_rows),
         "noise_factor": found.noise_factor,
         "rms": {"before": found.rms[0], "after": found.rms[1]},
-        "heldout_rms": None if found.heldout_rms is None else {"before": found.heldout_rms[0],
-                                                               "after": found.heldout_rms[1]},
+        "heldout_rms": _pair(found.heldout_rms),
+        "variance_factor": _pair(shown.variance_factor),
+        "groups": [{"group": g.group, "readings": g.readings, "rms": _pair(g.rms),
+                    "variance_factor": _pair(g.variance_factor), "heldout_rms": _pair(g.heldout)} for g in shown.gaps],
+        "results": [{"name": r.name, "unit": r.unit, "before": {"value": r.before[0], "u": r.before[1]},
+                     "after": {"value": r.after[0], "u": r.after[1]}, "moved_in_u": r.in_u} for r in shown.results],
         "where": [_place(p) for p in found.where[:LISTED]],
         "structure": [_place(p) for p in found.structure[:LISTED]],
         "noise": [{"what": t.what, "where": t.where, "figure": t.figure, "p_value": t.p_value} for t in found.noise],
-        "hidden": [{"effect": h.effect, "quantity": h.quantity, "u_added": h.u_added, "unit": h.unit}
-                   for h in found.hidden],
+        "hidden": [{"effect": h.effect, "quantity": h.quantity, "u_added": float(units.from_si(h.u_added, h.unit)),
+                    "unit": h.unit} for h in found.hidden],
         "next_measurement": found.next_measurement,
+        "detectable": [{"effect": d.effect, "parameter": d.parameter, "unit": d.unit, "usual": list(d.usual),
+                        "size": d.size if math.isfinite(d.size) else None} for d in shown.detectable],
         "remarks": list(found.remarks),
     }
+
+
+def _pair(both: tuple[float, float] | None) -> dict[str, float] | None:
+    return None if both is None else {"before": both[0], "after": both[1]}
 
 
 def _effect(one: NamedEffect) -> dict[str, Any]:

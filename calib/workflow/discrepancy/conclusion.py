@@ -15,14 +15,14 @@ from calib.errors import CalibrationError
 from calib.problem import Problem
 from calib.solve.estimate import Estimate
 from calib.workflow.discrepancy.alias import Hidden, aliases, hidden, proportional, what_would_tell
-from calib.workflow.discrepancy.heldout import held_out
+from calib.workflow.discrepancy.heldout import HeldOut, held_out
 from calib.workflow.discrepancy.looks import corrected
 from calib.workflow.discrepancy.noise import NoiseTest, size_test
 from calib.workflow.discrepancy.rivals import Noise
 from calib.workflow.discrepancy.scene import Scene
 from calib.workflow.discrepancy.search import Finding
 from calib.workflow.discrepancy.structure import Place, Screen
-from calib.workflow.discrepancy.words import plausibility, remarks_on, sentence
+from calib.workflow.discrepancy.words import next_measurement, plausibility, remarks_on, sentence, unseen
 
 LOOKED_AT = 3  # kinds of look at the nominal model: the size of its residuals, places, effects
 MANY = 8  # places named under `where`
@@ -59,7 +59,7 @@ class Explanation:
     noise; effects; outlier_rows: of the data file; noise_factor: actual over stated standard deviation after the
     effects; rms, heldout_rms: (before, after), the latter None where no rows are held out; where; structure; noise:
     looks at the noise that failed; hidden; next_measurement; ranking: of all candidates; remarks; before, after: the
-    estimates.
+    estimates; heldout: on held-out rows without and with what was found, None where no rows are held out.
     """
 
     verdict: str
@@ -79,6 +79,7 @@ class Explanation:
     remarks: tuple[str, ...]
     before: Estimate
     after: Estimate
+    heldout: tuple[HeldOut, HeldOut] | None
 
 
 @dataclass(frozen=True)
@@ -129,22 +130,24 @@ def conclude(
             remarks = (*remarks, f"The gap on held-out rows cannot be judged: without them, {error.sentence}")
     return Explanation(
         verdict,
-        sentence(verdict, effects, rows, judged.structure, judged.noise, rms),
+        sentence(verdict, effects, rows, judged.structure, judged.noise, rms,
+                 (held[0].rms, held[1].rms) if held else None),
         p_value,
         effects,
         rows,
         rms[1],
         rms,
-        held,
+        (held[0].rms, held[1].rms) if held else None,
         where,
         judged.structure,
         judged.noise,
         tuple(hidden(nominal.fit, nominal.field, nominal.chosen)),
-        advice,
+        next_measurement(verdict, advice, rows, judged.structure, judged.noise, unseen(nominal)),
         _ranking(nominal),
         (*remarks, *remarks_on(nominal)),
         before,
         after,
+        held,
     )
 
 
@@ -170,13 +173,13 @@ def _held(
     after: Estimate,
     named: Sequence[Candidate],
     rows: Sequence[int],
-) -> tuple[float, float] | None:
-    """Root mean square on held-out rows of the nominal model and of the one with what was found."""
+) -> tuple[HeldOut, HeldOut] | None:
+    """The gap on held-out rows of the nominal model and of the one with what was found."""
     first = held_out(problem, check, before)
     if first is None:
         return None
     if not named and not rows:
-        return first.rms, first.rms
+        return first, first
     better = problem.free(*[c.selection for c in named]) if named else problem
     masks = dict(check)
     if rows:
@@ -188,7 +191,7 @@ def _held(
         better = better.keep(kept)
         masks = {group: mask[kept[group]] for group, mask in check.items() if kept[group].any()}
     second = held_out(better, masks, after)
-    return (first.rms, second.rms) if second else None
+    return (first, second) if second else None
 
 
 def _named(

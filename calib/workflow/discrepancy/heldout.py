@@ -8,19 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.linearisation import linearise
+from calib.linearisation import Linearisation, linearise
 from calib.problem import Problem
 from calib.solve.estimate import Estimate, solve
 from calib.unknown import Selection, Unknown
+from calib.workflow.discrepancy.readings import parts
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Root mean square of whitened residuals of rows that took no part in the fit, and how many scalar readings they
-    are."""
+    """Root mean square of whitened residuals of rows that took no part in the fit, how many scalar readings they are,
+    and the root mean square of each component of each group."""
 
     rms: float
     readings: int
+    parts: Mapping[str, float]
 
 
 def held_out(problem: Problem, check: Mapping[str, NDArray[np.bool_]], start: Estimate | None = None) -> HeldOut | None:
@@ -45,10 +47,18 @@ def held_out(problem: Problem, check: Mapping[str, NDArray[np.bool_]], start: Es
         judged = judged.free(*own)
         solved = solve(judged, start=values)
         fit = linearise(solved)
-        return HeldOut(float(np.sqrt(solved.objective / max(solved.dof, 1))), sum(g.size for g in fit.groups))
+        spared = solved.dof / max(sum(g.size for g in fit.groups), 1)  # the rows' own unknowns cost readings
+        return HeldOut(float(np.sqrt(solved.objective / max(solved.dof, 1))), sum(g.size for g in fit.groups),
+                       _by_part(fit, max(spared, 1e-300)))
     fit = linearise(judged, values)
     size = sum(g.size for g in fit.groups)
-    return HeldOut(float(np.sqrt(fit.objective / size)), size)
+    return HeldOut(float(np.sqrt(fit.objective / size)), size, _by_part(fit, 1.0))
+
+
+def _by_part(fit: Linearisation, share: float) -> dict[str, float]:
+    """Root mean square of each part, of whose readings a share is left over."""
+    residual = fit.rows[1]
+    return {name: float(np.sqrt(np.mean(residual[places] ** 2) / share)) for name, places in parts(fit).items()}
 
 
 def _unseen(fitting: Problem, problem: Problem) -> list[Selection]:

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib import units
-from calib.analyse.score import candidates, field_of
 from calib.blocks import Array
 from calib.linearisation import linearise
 from calib.workflow.discrepancy.conclusion import Explanation
 from calib.workflow.discrepancy.readings import Channel, channels
+from calib.workflow.discrepancy.shown import Shown
 
 MAPPED = 10  # candidates of the alias map
+CLASSES = 12  # of the values of a covariate
 SHOWN_IN = {"rad": "deg", "m": "mm", "s": "min"}
 
 
@@ -40,31 +41,56 @@ class Separation:
     matrix: Array
 
 
-def pictures(found: Explanation, count: int) -> list[Picture]:
-    """The channels and covariates that show most, or the first channel against time where nothing shows."""
-    problem = found.before.problem
-    fit = linearise(found.before)
-    lines = {c.name: c for c in channels(fit, problem)}
-    before, after = fit.rows[1], _whitened(found, fit.rows[1])
-    shown = [(p.channel.split(", ")[0], p.covariate) for p in found.where]
-    # What drives a named effect comes first, in the channel that shows most.
-    drivers = [name for e in found.effects for a in problem.attached if a.effect.name == e.name
-               for name in a.effect.inputs]
-    driven = [(channel, name) for channel, name in shown if name in drivers]
-    driven += [(channel, name) for channel, _ in shown[:1] for name in dict.fromkeys(drivers)]
-    wanted = [*driven, *shown]
-    drawn: list[Picture] = []
-    for name, covariate in dict.fromkeys(wanted):
-        values = lines[name].covariates.get(covariate) if name in lines else None
-        if values is None or values.dtype.kind not in "fiu" or len(drawn) >= count:
+def pictures(shown: Shown, count: int) -> list[Picture]:
+    """What betrays each named effect, then the channels and covariates that show most; where nothing shows, the first
+    channel against what was recorded with it."""
+    found = shown.found
+    lines = {c.name: c for c in channels(shown.fit, found.before.problem)}
+    before, after = shown.fit.rows[1], _whitened(found, shown.fit.rows[1])
+    drawn: dict[tuple[str, str], Picture] = {}
+    for channel, label, x, unit in _betraying(shown, list(lines.values())):
+        drawn.setdefault((channel.name, label), _picture(channel, label, x, unit, before, after))
+    wanted = [(p.channel.split(", ")[0], p.covariate) for p in (*found.structure, *found.where)]
+    if not wanted and not drawn:
+        wanted = [(name, covariate) for name, channel in lines.items() for covariate in _numeric(channel)][:1]
+    for name, covariate in wanted:
+        if name in lines and covariate in _numeric(lines[name]):
+            channel = lines[name]
+            drawn.setdefault((name, covariate), _picture(
+                channel, covariate, channel.covariates[covariate], channel.units.get(covariate, "1"), before, after))
+    return list(drawn.values())[:count]
+
+
+def _betraying(shown: Shown, lines: Sequence[Channel]) -> Iterator[tuple[Channel, str, Array, str]]:
+    """(channel, label, x, unit) for each named effect: the channel that it changes most, against what drives it, or
+    where that was not recorded against what it adds to the readings beside the unknowns [u]."""
+    place = {c.label: i for i, c in enumerate(shown.chosen)}
+    for one in shown.found.effects:
+        number = place.get(f"{one.name} ({one.channel})")
+        if number is None or not lines:
             continue
-        drawn.append(_picture(lines[name], covariate, before, after))
-    if not drawn and lines:
-        first = next(iter(lines.values()))
-        numeric = [k for k, v in first.covariates.items() if v.dtype.kind in "fiu" and len(np.unique(v)) > 2]
-        if numeric:
-            drawn.append(_picture(first, numeric[0], before, after))
-    return drawn
+        values = np.array([value * units.factor(unit) for value, _, unit in one.parameters.values()])
+        added = shown.field.signals[number] @ values
+        channel = max(lines, key=lambda line: float(np.sum(added[line.places] ** 2)))
+        drivers = [name for name in shown.chosen[number].effect.inputs if name in _numeric(channel)]
+        if drivers:
+            best = max(drivers, key=lambda name: _followed(added[channel.places], channel.covariates[name]))
+            yield channel, best, channel.covariates[best], channel.units.get(best, "1")
+        else:
+            yield channel, f"what {one.name} ({one.channel}) adds beside the unknowns / u", added[channel.places], "1"
+
+
+def _followed(signal: Array, values: Array) -> float:
+    """How much of a signal follows a covariate: the sum of squares of its means over up to twelve classes of values."""
+    different = np.unique(values)
+    edges = different if len(different) <= CLASSES else np.quantile(values, np.arange(CLASSES) / CLASSES)
+    place = np.searchsorted(edges, values, side="right")
+    return sum(float(np.sum(place == k) * np.mean(signal[place == k]) ** 2) for k in np.unique(place))
+
+
+def _numeric(channel: Channel) -> list[str]:
+    """Covariates that may stand on an axis: numbers that vary."""
+    return [k for k, v in channel.covariates.items() if v.dtype.kind in "fiu" and len(np.unique(v)) > 1]
 
 
 def _whitened(found: Explanation, before: Array) -> Array:
@@ -81,34 +107,32 @@ def _whitened(found: Explanation, before: Array) -> Array:
     return linearise(whole, values).rows[1]
 
 
-def _picture(channel: Channel, covariate: str, before: Array, after: Array) -> Picture:
-    unit = channel.units.get(covariate, "1")
+def _picture(channel: Channel, label: str, values: Array, unit: str, before: Array, after: Array) -> Picture:
     shown = SHOWN_IN.get(unit, unit)
-    x = channel.covariates[covariate].astype(float) / units.factor(shown)
+    x = np.asarray(values, float) / units.factor(shown)
     text = next((k for k, v in channel.covariates.items() if v.dtype.kind not in "fiub" and 1 < len(set(v)) <= 4), "")
     way = next((k for k in ("direction", "block") if 1 < len(np.unique(channel.covariates.get(k, [0]))) <= 4), "")
-    key = text or (way if way != covariate else "")
+    key = text or (way if way != label else "")
     keys = channel.covariates[key] if key else np.zeros(len(x), dtype=int)
-    name = covariate.replace("_", " ")
+    name = label.replace("_", " ")
+    against = name.removesuffix(" / u")
+    caption = f"{channel.name}: residual in units of u against {against}; the band holds 95 % of good readings."
     return Picture(x, before[channel.places], after[channel.places], np.asarray(keys), key,
-                   name if shown == "1" else f"{name} / {shown}",
-                   f"{channel.name}: residual in units of u against {name}; the band holds 95 % of good readings.")
+                   name if shown == "1" else f"{name} / {shown}", caption)
 
 
-def separation(found: Explanation) -> Separation | None:
+def separation(shown: Shown) -> Separation | None:
     """The alias map of the candidates that stand highest, those named first; None where there are not two."""
-    fit = linearise(found.before)
-    chosen = candidates(fit)
-    field = field_of(fit, chosen)
-    place = {c.label: i for i, c in enumerate(chosen)}
+    found, field = shown.found, shown.field
+    place = {c.label: i for i, c in enumerate(shown.chosen)}
     first = [f"{e.name} ({e.channel})" for e in found.effects]
     first += [f"{name} ({channel})" for e in found.effects for name, channel in e.aliases]
     wanted: Sequence[str] = list(dict.fromkeys([*first, *(r.label for r in found.ranking)]))
-    shown = [place[w] for w in wanted if w in place and field.frames[place[w]].shape[1]][:MAPPED]
-    if len(shown) < 2:
+    mapped = [place[w] for w in wanted if w in place and field.frames[place[w]].shape[1]][:MAPPED]
+    if len(mapped) < 2:
         return None
-    matrix = np.array([[_imitated(field.frames[i], field.frames[j]) for j in shown] for i in shown])
-    return Separation(tuple(chosen[i].label for i in shown), matrix)
+    matrix = np.array([[_imitated(field.frames[i], field.frames[j]) for j in mapped] for i in mapped])
+    return Separation(tuple(shown.chosen[i].label for i in mapped), matrix)
 
 
 def _imitated(one: Array, other: Array) -> float:

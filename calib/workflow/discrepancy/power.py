@@ -9,8 +9,7 @@ import numpy as np
 
 from calib import units
 from calib.analyse.score import Candidate, Field
-
-SHARE = 0.40  # of the level that all effects together have
+from calib.workflow.discrepancy.search import Shares
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ def detectable(
 
     seen = [frame.shape[1] for frame in field.frames]
     looks = max(sum(1 for k in seen if k), 1)
-    needed = {k: float(chndtrinc(chdtri(k, level * SHARE / looks), k, 1.0 - power)) for k in set(seen) if k}
+    needed = {k: float(chndtrinc(chdtri(k, level * Shares().effects / looks), k, 1.0 - power)) for k in set(seen) if k}
     found = []
     for one, k, signal, own in zip(candidates, seen, field.signals, field.sizes, strict=True):
         for j, parameter in enumerate(one.effect.parameters):

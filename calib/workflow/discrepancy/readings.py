@@ -53,6 +53,25 @@ def channels(fit: Linearisation, problem: Problem | None = None) -> list[Channel
     return found
 
 
+def parts(fit: Linearisation) -> dict[str, NDArray[np.int64]]:
+    """Places of the scalar readings among all whitened rows, {group and component: (m,)}; readings that a covariance
+    joins count by group alone, priors not at all."""
+    found: dict[str, list[NDArray[np.int64]]] = {}
+    begin = 0
+    for group in fit.groups:
+        for block in group.whitened:
+            m, d = block.residual.shape
+            for k in range(0 if group.is_prior else d):
+                name = _name(group, k) if block.rows.shape[1] == 1 else group.name
+                found.setdefault(name, []).append(begin + np.arange(m) * d + k)
+            begin += m * d
+    return {name: np.concatenate(places) for name, places in found.items()}
+
+
+def _name(group: Group, component: int) -> str:
+    return " ".join(part for part in (group.name, group.components[component]) if part)
+
+
 def _known(observations: Observations) -> dict[str, Array]:
     """Known arguments of a model that vary from row to row, one column each."""
     found = {}
@@ -75,7 +94,7 @@ def _channel(
         if not any(v.dtype.kind in "fiu" and np.array_equal(v, values[inside]) for v in covariates.values()):
             covariates[word] = values[inside]
             units[word] = "rad" if word in ANGLES else "1"
-    name = " ".join(part for part in (group.name, group.components[component]) if part)
+    name = _name(group, component)
     time = covariates.get("time")
     order = np.arange(len(inside)) if time is None or time.dtype.kind not in "fiu" else np.argsort(time, kind="stable")
     return Channel(name, group.components[component], places, group.rows[inside], covariates, units, order)

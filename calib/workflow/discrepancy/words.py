@@ -42,32 +42,72 @@ def sentence(
     structure: Sequence[Place],
     noise: Sequence[NoiseTest],
     rms: tuple[float, float],
+    heldout_rms: tuple[float, float] | None = None,
 ) -> str:
-    """The finding in one or two plain sentences."""
+    """The finding in one to three plain sentences."""
     if verdict == "consistent":
         return "Model and stated noise explain the readings; nothing is missing that they could show."
     if verdict == "outliers":
-        listed = ", ".join(map(str, rows))
-        return f"The model holds and the noise is as stated, but {len(rows)} row(s) are blunders: {listed}."
+        return f"The model holds and the noise is as stated, but {_blunders(rows)}."
     if verdict == "noise-misstated":
         kinds = ", ".join(_of_noise(t) for t in noise[:3]) or "more large residuals than normal noise has"
         return f"Nothing systematic is missing, but the noise is not what was stated: {kinds}."
     if verdict == "unknown-structure":
         if structure:
-            p = structure[0]
-            return (
-                "There is systematic structure that no known effect explains, most clearly "
-                f"{p.shape} over {p.covariate.replace('_', ' ')} in {p.channel}."
-            )
+            return ("There is systematic structure that no known effect explains, most clearly "
+                    f"{_of_structure(structure[0])}.")
         return "There is systematic structure that no sum of up to three known effects explains."
+    several = len(effects) > 1
     names = " and ".join(f"{e.name} ({e.channel})" for e in effects)
-    also = f" {len(rows)} row(s) are blunders: {', '.join(map(str, rows))}." if rows else ""
-    told = " These readings cannot tell it from another effect; see the aliases." if any(e.aliases for e in effects) \
-        else ""
-    return (
-        f"Missing in the model: {names}; with it the root mean square residual falls from {rms[0]:.3g} to "
-        f"{rms[1]:.3g} u.{also}{told}"
-    )
+    also = f" Beside that, {_blunders(rows)}." if rows else ""
+    unseen = "" if heldout_rms is None else \
+        f", on readings that took no part from {heldout_rms[0]:.3g} to {heldout_rms[1]:.3g} u"
+    doubtful = [f"{e.name} ({e.channel})" for e in effects if e.aliases]
+    told = f" These readings cannot tell {' and '.join(doubtful)} from other effects; see the aliases."
+    return (f"Missing in the model: {names}; with {'them' if several else 'it'} the root mean square residual falls "
+            f"from {rms[0]:.3g} to {rms[1]:.3g} u{unseen}.{also}{told if doubtful else ''}")
+
+
+def _blunders(rows: Sequence[int]) -> str:
+    listed = ", ".join(map(str, rows))
+    return f"row {listed} is a blunder" if len(rows) == 1 else f"{len(rows)} rows are blunders: {listed}"
+
+
+def _of_structure(place: Place) -> str:
+    """A description such as "harmonic 4 over angle in level (2.1 u, phase 34 deg)"."""
+    figures = place.figures
+    size = ""
+    if "amplitude_over_u" in figures:
+        size = f" ({figures['amplitude_over_u']:.2g} u at {figures['phase_deg']:.0f} deg)"
+    elif "rms_over_u" in figures:
+        size = f" ({figures['rms_over_u']:.2g} u, root mean square)"
+    return f"{place.shape} over {place.covariate.replace('_', ' ')} in {place.channel}{size}"
+
+
+def next_measurement(
+    verdict: str, advice: str, rows: Sequence[int], structure: Sequence[Place], noise: Sequence[NoiseTest],
+    unseen: Sequence[Candidate],
+) -> str:
+    """What to measure next, in a sentence without its full stop; empty where nothing would decide more.
+
+    advice: what tells named effects from their aliases; unseen: candidates that no reading shows.
+    """
+    if advice:
+        return advice
+    if verdict == "unknown-structure" and structure:
+        over, where = structure[0].covariate.replace("_", " "), structure[0].channel
+        return (f"read {where} again in finer steps of {over}, there and back, and once more on another day: what "
+                f"repeats with {over} belongs to the model, what comes with the time does not")
+    if verdict in ("unknown-structure", "noise-misstated"):
+        if any(t.what == "serial correlation" for t in noise):
+            return "repeat some positions later and in another order, to tell what drifts in between from what repeats"
+        if any(t.what == "uneven size" for t in noise):
+            return f"repeat readings without moving anything where the scatter differs ({noise[0].where})"
+        return "repeat some readings without moving anything, to tell larger noise from something that is missing"
+    if verdict == "outliers":
+        return f"read row(s) {', '.join(map(str, rows))} again"
+    still = list(dict.fromkeys(name for one in unseen for name in one.effect.inputs))
+    return f"let {' and '.join(w.replace('_', ' ') for w in still[:3])} vary to show {unseen[0].label}" if still else ""
 
 
 def _of_noise(test: NoiseTest) -> str:
@@ -76,18 +116,23 @@ def _of_noise(test: NoiseTest) -> str:
     return f"{test.what} in {test.where}"
 
 
+def unseen(scene: Scene) -> list[Candidate]:
+    """Candidates that no reading shows."""
+    return [c for c, f in zip(scene.chosen, scene.field.frames, strict=True) if not f.shape[1]]
+
+
 def remarks_on(scene: Scene) -> tuple[str, ...]:
     """What these readings cannot judge: too little to spare, influences that never vary, effects that never show."""
     found = []
     if scene.field.dof < FEW_SPARE:
         found.append(f"Only {scene.field.dof} reading(s) more than unknowns: hardly anything could be found. Read "
                      "further positions, or the same ones again.")
-    unseen = [c for c, f in zip(scene.chosen, scene.field.frames, strict=True) if not f.shape[1]]
-    if scene.chosen and len(unseen) == len(scene.chosen):
+    hiding = unseen(scene)
+    if scene.chosen and len(hiding) == len(scene.chosen):
         found.append("Not one of the known effects can be told from the unknowns with these readings. Vary what they "
                      "depend on, or hold an unknown that is known from elsewhere.")
-    elif unseen:
-        listed = ", ".join(c.label for c in unseen[:LISTED]) + (" and others" if len(unseen) > LISTED else "")
+    elif hiding:
+        listed = ", ".join(c.label for c in hiding[:LISTED]) + (" and others" if len(hiding) > LISTED else "")
         found.append(f"These readings cannot show {listed}: the unknowns absorb them, or what drives them stands "
                      "still.")
     for name in dict.fromkeys(name for channel in scene.channels for name in channel.covariates):
