@@ -248,7 +248,8 @@ def example(seed: int) -> Problem:
     seed: of the errors.
     """
     exact = np.array([PLACE @ point for point in PART])
-    covariates = {"time": (np.arange(12) * 2.0 * minute, "min"), "block": np.repeat([1, 2], 6)}
+    covariates = {"time": (np.arange(12) * 2.0 * minute, "min"), "block": np.repeat([1, 2], 6),
+                  "temperature_difference": (0.5 + 0.8 * np.sin(np.arange(12.0)), "K")}
     order = np.argsort(np.arange(12) % 2, kind="stable")     # neither block sees one side of the part only
     problem = declare(PART[order], exact[order], _covariance(exact[order]), U_POINTS, [f"P{k + 1}" for k in order],
                       {"tool": np.array([0.6, 0.4, 0.9])}, covariates)
@@ -260,9 +261,9 @@ def example_job(seed: int) -> dict[str, str]:
     measured = example(seed).observations[0]
     assert measured.readings is not None
     part = [f"P{k + 1},{x / mm:.3f},{y / mm:.3f},{z / mm:.3f}" for k, (x, y, z) in enumerate(PART)]
-    given = (measured.covariates[name] for name in ("point", "time", "block"))
-    seen = [f"{name},{t / minute:.0f},{block},{x / mm:.5f},{y / mm:.5f},{z / mm:.5f}"
-            for name, t, block, (x, y, z) in zip(*given, measured.readings, strict=True)]
+    given = (measured.covariates[name] for name in ("point", "time", "block", "temperature_difference"))
+    seen = [f"{name},{t / minute:.0f},{block},{20.0 + warmer:.3f},{x / mm:.5f},{y / mm:.5f},{z / mm:.5f}"
+            for name, t, block, warmer, (x, y, z) in zip(*given, measured.readings, strict=True)]
     return {
         "job.toml": 'problem = "problems.alignment"\n\n[data.part]\nfile = "part.csv"\n\n'
                     '[data.seen]\nfile = "seen.csv"\ninstrument = "tracker"\n\n'
@@ -271,4 +272,5 @@ def example_job(seed: int) -> dict[str, str]:
                     '[report]\nquantities = ["seen_from_part", "target"]\n',
         "part.csv": "# source: simulated part with twelve points and a tool\npoint,x_mm,y_mm,z_mm\n"
                     + "\n".join([*part, "tool,600.000,400.000,900.000"]) + "\n",
-        "seen.csv": f"# source: simulated, seed {seed}\npoint,time_min,block,x_mm,y_mm,z_mm\n" + "\n".join(seen) + "\n"}
+        "seen.csv": f"# source: simulated, seed {seed}\npoint,time_min,block,temp_C,x_mm,y_mm,z_mm\n"
+                    + "\n".join(seen) + "\n"}
