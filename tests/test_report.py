@@ -26,6 +26,7 @@ VOID = {"meta", "link", "br", "img", "input", "hr", "path", "use", "rect", "line
     (-1.7123, 0.28, ("−1.71", "0.28")), (1400.90, 0.0031, ("1400.9000", "0.0031")), (3.2, 0.0996, ("3.20", "0.10")),
     (1234567.8, 230.0, ("1234570", "230")), (6.1e-6, 1.2e-7, ("6.10×10⁻⁶", "0.12×10⁻⁶")),
     (-0.001, 0.2, ("0.00", "0.20")), (12.0, None, ("12", "")), (12.0, 0.0, ("12", "")), (None, 0.25, ("–", "0.25")),
+    (12.0, float("nan"), ("–", "")), (12.0, float("inf"), ("–", "")),
 ])
 def test_a_value_is_rounded_to_two_digits_of_its_uncertainty(value, u, texts):
     assert numbers.with_uncertainty(value, u) == texts

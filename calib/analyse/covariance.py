@@ -33,7 +33,9 @@ class Covariance:
         """Correlation coefficients (k, k); zero where a standard uncertainty is zero."""
         u = self.u
         scale = np.where(u > 0, u, 1.0)
-        return self.matrix / np.outer(scale, scale)
+        # A result without a finite uncertainty has no correlation either: not a number, quietly.
+        with np.errstate(invalid="ignore"):
+            return self.matrix / np.outer(scale, scale)
 
     @property
     def displayed(self) -> list[tuple[str, float, float, str]]:

@@ -51,10 +51,10 @@ def solve(
 
     read = Job.read(job, data_folder)
     module = catalogue.module(read.problem, problem_file)
+    origin = provenance([*read.files, *([problem_file] if problem_file else [])], typed())
     with output.progress(f"solving {job.name}", 1) as step:
         solution = solved(read, module, method_of(method))
         step()
-    origin = provenance([*read.files, *([problem_file] if problem_file else [])], typed())
     content = result.content(solution, origin)
     output.result(content)
     say(output, solution)
@@ -71,7 +71,7 @@ def solve(
 
 def say(output: Output, solution: Solution) -> None:
     """The results for people: values with U (k = 2), agreement, advice, what cannot be known."""
-    from calib.report.page import agreement, told
+    from calib.report.page import agreement, told, unstated
 
     estimate = solution.estimate
     if not (estimate.certificate.passed and estimate.converged):
@@ -89,6 +89,8 @@ def say(output: Output, solution: Solution) -> None:
     if len(listed) > LISTED:
         output.say(f"  and {len(listed) - LISTED} more, in result.json and report.html (--out DIR)")
     output.say()
+    if unstated(solution):
+        output.prose(unstated(solution))
     output.prose(agreement(solution))
     for exclusion in solution.job.exclude:
         left_out = ", ".join(map(str, exclusion.rows))

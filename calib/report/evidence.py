@@ -14,7 +14,7 @@ from calib.workflow.solution import Solution
 
 LISTED = 12             # names in a sentence
 DRAWN_BUDGETS = 6
-CORRELATED = 16         # results up to which a correlation map can be read
+CORRELATED = 60         # results up to which a correlation map can be read
 SUSPECTS = 8
 ROUND = 1.96
 
@@ -31,18 +31,20 @@ def residual_groups(solution: Solution) -> Iterator[dict[str, Any]]:
         caption = f"{group.name}: {chosen.sum()} scalar readings, rms of residual/u = {numbers.plain(rms, 3)}"
         if chosen.sum() > plots.DRAWN:
             caption += f"; one in {-(-len(w) // plots.DRAWN)} is drawn"
-        others = []
+        others, drawn = [], []
         for name, values in group.covariates.items():
-            if values.dtype.kind not in "iuf" or values.ndim != 1 or len(np.unique(values)) < 3:
+            if values.ndim != 1 or len(np.unique(values)) < 2:
                 continue
             unit = group.covariate_units.get(name, "1")
-            shown = np.repeat(np.asarray(values, float) / units.factor(_display(unit)), len(group.components))
+            if values.dtype.kind in "iuf":
+                values = np.asarray(values, float) / units.factor(_display(unit))
             label = name if unit == "1" else f"{name} / {_display(unit)}"
-            figure = plots.residuals(shown, w, component, label)
+            figure = plots.residuals(np.repeat(values, len(group.components)), w, component, label)
             others.append(Drawing.of(figure, f"{group.name} {name}", f"{group.name} against {name}"))
+            drawn.append(name)
         first = plots.residuals(reliability.row[chosen], w, component, "row of the data file")
         yield {"title": group.name, "first": Drawing.of(first, f"w {group.name}", caption), "others": others,
-               "names": ", ".join(name for name in group.covariates if any(name in one.caption for one in others))}
+               "names": ", ".join(drawn)}
 
 
 def _display(unit: str) -> str:

@@ -24,12 +24,15 @@ def decimals(u: float, digits: int = 2) -> int:
 def with_uncertainty(value: float | None, u: float | None) -> tuple[str, str]:
     """A value and its uncertainty, both to two digits of the uncertainty.
 
-    value, u: in one unit; value None where there is none; u None or zero where there is none.
-    return: two texts with a true minus sign; u is empty where there is none.
+    value, u: in one unit; value None where there is none; u None or zero where it is fixed or held.
+    return: two texts with a true minus sign; u is empty where there is none; dash and nothing where an uncertainty
+    ought to be and is no number, because a value without it says nothing.
     """
     if value is None:
         return "–", "" if u is None else with_uncertainty(0.0, u)[1]
-    if u is None or not math.isfinite(u) or u <= 0:
+    if u is not None and not math.isfinite(u):
+        return "–", ""
+    if u is None or u <= 0:
         return plain(value), ""
     places = decimals(u)
     size = max(abs(value), u)

@@ -46,6 +46,7 @@ def html(solution: Solution, provenance: Provenance) -> str:
         answers=list(_answers(solution)),
         coverage=_coverage(solution),
         agreement=agreement(solution),
+        unstated=unstated(solution),
         advice=solution.advice,
         results=_results(solution),
         tolerances=_tolerances(solution),
@@ -86,7 +87,21 @@ def _answers(solution: Solution) -> Iterator[dict[str, str]]:
 
 def told(solution: Solution) -> list[tuple[str, float, float, str]]:
     """(name, value, u, unit) of the results a person is told: not what is held, nor the small angles of a direction."""
-    return [(name, value, u, unit) for name, value, u, unit in solution.displayed if value is not None and u > 0]
+    return [(name, value, u, unit) for name, value, u, unit in solution.displayed
+            if value is not None and u > 0 and np.isfinite(u)]
+
+
+def unstated(solution: Solution) -> str:
+    """The results that have no uncertainty, in a sentence; empty where every result has one.
+
+    solution: a solved job.
+    return: the sentence: without an uncertainty no value is stated.
+    """
+    names = [name for name, value, u, _ in solution.displayed if value is not None and not np.isfinite(u)]
+    if not names:
+        return ""
+    return (f"Not stated, because no uncertainty follows for it: {', '.join(names)}. The result does not change "
+            "smoothly with the readings here.")
 
 
 def _coverage(solution: Solution) -> str:
@@ -124,7 +139,9 @@ def _results(solution: Solution) -> Grid:
     rows = []
     for index, (name, value, u, unit) in enumerate(solution.displayed):
         shown, its_u = numbers.with_uncertainty(value, u)
-        row: list[str | Cell] = [name, shown, its_u or "–", numbers.with_uncertainty(0.0, 2.0 * u)[1] or "–", unit]
+        fixed = value is not None and u == 0.0
+        expanded = numbers.with_uncertainty(0.0, 2.0 * u)[1] or "–"
+        row: list[str | Cell] = [name, shown, its_u or ("fixed" if fixed else "–"), expanded, unit]
         if found is not None:
             k = numbers.plain(solution.coverage[index].k, 3) if index < len(solution.coverage) else "–"
             u_vc = found.u[index] / units.factor(unit)

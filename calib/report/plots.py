@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import re
+import unicodedata
+import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +25,11 @@ _VARIABLES = {
     "#2ca02c": "var(--series-3)", "#9467bd": "var(--series-4)", "#d62728": "var(--warning)",
 }
 DRAWN = 3000       # points of one drawing; of more, every k-th is drawn and the caption says so
+NUMBERED = 16      # results up to which a correlation map shows numbers
 RINGS = 12         # readings of one component that are ringed
+LONGEST = 44       # letters of a label
+TOLD_APART = 30    # names on one axis
+LEVELS = 6         # values up to which each has its tick
 WIDTH = 7.2        # inches; the page scales the drawing to its column
 
 
@@ -36,7 +42,9 @@ def svg(figure: Figure, salt: str) -> str:
     import matplotlib as mpl
 
     stream = io.StringIO()
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": salt}):
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": salt}), warnings.catch_warnings():
+        # The reader's browser has the letters that Matplotlib's own font lacks.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
         figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
     text = re.sub(r"^.*?(?=<svg)", "", stream.getvalue(), count=1, flags=re.DOTALL)
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
@@ -50,6 +58,17 @@ def svg(figure: Figure, salt: str) -> str:
     text = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", text, count=1)
     text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
     return text.replace("<svg", '<svg role="img"', 1)
+
+
+def worded(name: str) -> str:
+    """A name as a label: what cannot be printed left out, shortened, and never taken for a formula.
+
+    name: anything that a person wrote.
+    return: text for Matplotlib.
+    """
+    plain = "".join(" " if unicodedata.category(letter)[0] == "C" else letter for letter in name)
+    short = plain if len(plain) <= LONGEST else plain[: LONGEST - 1] + "…"
+    return short.replace("$", r"\$")
 
 
 def canvas(height: float, fitted: bool = False) -> tuple[Figure, Any]:
@@ -87,7 +106,9 @@ def residuals(x: np.ndarray, w: np.ndarray, component: Sequence[str], x_label: s
     x: (N,) numbers or texts; w: (N,) residual divided by its standard deviation; component: (N,) names; x_label: text.
     return: the figure.
     """
-    figure, axes = canvas(2.5)
+    named = x.dtype.kind not in "iuf"
+    keys, place = np.unique(x.astype(str), return_inverse=True) if named else ((), x)
+    figure, axes = canvas(2.5, fitted=named and len(keys) <= TOLD_APART)
     step = max(1, -(-len(w) // DRAWN))
     names = list(dict.fromkeys(component))
     axes.axhspan(-1.96, 1.96, color=FAINT, alpha=0.25, linewidth=0)
@@ -95,12 +116,19 @@ def residuals(x: np.ndarray, w: np.ndarray, component: Sequence[str], x_label: s
     for number, name in enumerate(names):
         chosen = np.flatnonzero(np.asarray(component) == name)[::step]
         colour = SERIES[number % len(SERIES)]
-        axes.scatter(x[chosen], w[chosen], s=16, color=colour, linewidths=0, label=name or None, alpha=0.85)
+        axes.scatter(place[chosen], w[chosen], s=16, color=colour, linewidths=0, label=worded(name) or None, alpha=0.85)
         far = chosen[np.abs(w[chosen]) > 3.29]
         # Rings point out single readings; where many are far off, the cloud itself says so.
         if len(far) <= RINGS:
-            axes.scatter(x[far], w[far], s=60, facecolors="none", edgecolors=WARNING, linewidths=1.4)
-    axes.set_xlabel(x_label)
+            axes.scatter(place[far], w[far], s=60, facecolors="none", edgecolors=WARNING, linewidths=1.4)
+    levels = () if named else np.unique(x)
+    if 1 < len(levels) <= LEVELS:
+        axes.set_xticks(levels)
+    if named:
+        shown = np.arange(len(keys)) if len(keys) <= TOLD_APART else np.zeros(0, int)
+        slanted = {"rotation": 35, "ha": "right", "rotation_mode": "anchor"} if sum(map(len, keys)) > 60 else {}
+        axes.set_xticks(shown, [worded(keys[i]) for i in shown], **slanted)
+    axes.set_xlabel(worded(x_label))
     axes.set_ylabel("residual / its σ")
     axes.set_ylim(-1.08 * max(3.5, np.max(np.abs(w), initial=0)), 1.08 * max(3.5, np.max(np.abs(w), initial=0)))
     if len(names) > 1:
@@ -121,7 +149,8 @@ def redundancy(values: np.ndarray, groups: Sequence[str]) -> Figure:
     for number, name in enumerate(dict.fromkeys(groups)):
         mine = values[np.asarray(groups) == name]
         place = np.arange(begin, begin + len(mine))
-        axes.scatter(place[::step], mine[::step], s=12, color=SERIES[number % len(SERIES)], linewidths=0, label=name)
+        axes.scatter(place[::step], mine[::step], s=12, color=SERIES[number % len(SERIES)], linewidths=0,
+                     label=worded(name))
         begin += len(mine)
     axes.axhline(0.1, color=WARNING, linewidth=0.8, linestyle="--")
     axes.set_ylim(-0.04, 1.04)
@@ -142,31 +171,37 @@ def budget(labels: Sequence[str], contributions: Sequence[float], unit: str) -> 
     figure, axes = canvas(0.75 + 0.27 * len(labels), fitted=True)
     place = np.arange(len(labels))
     axes.barh(place, contributions, color=ACCENT, height=0.62)
-    axes.set_yticks(place, labels)
+    axes.set_yticks(place, [worded(label) for label in labels])
     axes.invert_yaxis()
     axes.set_xlabel(f"contribution to u / {unit}")
     return figure
 
 
 def correlation(names: Sequence[str], matrix: np.ndarray) -> Figure:
-    """Correlation coefficients of the results as a map, with the numbers in it.
+    """Correlation coefficients of the results as a map, with the numbers in it while they can be read.
 
     names: of the results; matrix: (k, k).
     return: the figure.
     """
     size = len(names)
-    figure, axes = canvas(1.2 + 0.32 * size, fitted=True)
+    numbered = size <= NUMBERED
+    figure, axes = canvas(1.2 + (0.32 if numbered else 0.16) * size, fitted=True)
     for i in range(size):
         for j in range(i + 1):
             value = float(matrix[i, j])
+            if not np.isfinite(value):
+                continue
             colour = SERIES[0] if value >= 0 else SERIES[1]
             axes.add_patch(_square(j, i, colour, abs(value)))
-            number = f"{value:.2f}".replace("-0.00", "0.00").replace("-", "−")
-            axes.text(j, i, number, ha="center", va="center", fontsize=8, color=INK)
+            if numbered:
+                number = f"{value:.2f}".replace("-0.00", "0.00").replace("-", "−")
+                axes.text(j, i, number, ha="center", va="center", fontsize=8, color=INK)
     axes.set_xlim(-0.5, size - 0.5)
     axes.set_ylim(size - 0.5, -0.5)
-    axes.set_yticks(range(size), names)
-    axes.set_xticks(range(size), names, rotation=35, ha="right", rotation_mode="anchor")
+    letters = {"fontsize": 9 if numbered else 6}
+    axes.set_yticks(range(size), [worded(name) for name in names], **letters)
+    axes.set_xticks(range(size), [worded(name) for name in names], rotation=35 if numbered else 90, ha="right",
+                    rotation_mode="anchor", **letters)
     for side in ("left", "bottom"):
         axes.spines[side].set_visible(False)
     axes.tick_params(length=0)
