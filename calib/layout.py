@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ class Layout:
                 self.free[self.span(unknown)] = ~mask.ravel()
         self.position = np.where(self.free, np.cumsum(self.free) - 1, -1)
         self.free_columns = np.flatnonzero(self.free)
+        self.patterns: dict[object, Any] = {}  # made by calib.pattern, which a solve asks for at every step
 
     def span(self, unknown: Unknown) -> slice:
         """Columns of an unknown."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -10,18 +10,50 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.blocks import Array, Block, Part
+from calib import elimination
+from calib.blocks import Array, Block, Index, Part
 from calib.effect import Effect
-from calib.elimination import Factor, factorise
+from calib.elimination import Factor
 from calib.errors import DeclarationError
 from calib.factor import Conditions
 from calib.layout import Layout
-from calib.normal import sparse_rows
-from calib.observations import Quantity
+from calib.normal import NormalEquations, sparse_rows
+from calib.observations import Observations, Quantity
+from calib.pattern import Source, pattern_of
 from calib.problem import Problem
-from calib.system import System
+from calib.system import System, Term
 from calib.uncertainty import Weighting
 from calib.unknown import Selection, Unknown
+
+STORED = 2_000_000  # derivatives of a group beyond which they are evaluated when they are asked for
+
+
+class Derivatives(Sequence[Part]):
+    """Derivatives of many rows with respect to all unknowns: evaluated when asked for, never kept.
+
+    term: of a system; values: where.
+    """
+
+    def __init__(self, term: Term[Observations], values: Mapping[Unknown, Array]):
+        self._term, self._values = term, values
+
+    def columns(self, held_too: bool = True) -> tuple[Index, ...]:
+        """Columns (n, f) of each argument that is an unknown; held_too: even where nothing of it is free."""
+        wanted = self._term.wanted(held_too)
+        return tuple(c for c, want in zip(self._term.columns, wanted, strict=True) if want)
+
+    def evaluate(self, rows: Index, held_too: bool = True) -> list[Array]:
+        """Derivatives (f, dim, c) of chosen rows (c,) with respect to the same arguments."""
+        return self._term.evaluate(self._values, rows, held_too)[1]
+
+    def __len__(self) -> int:
+        return sum(self._term.any_unknown)
+
+    def __getitem__(self, place: Any) -> Any:
+        return tuple(self._term.derive(self._values, held_too=True)[1])[place]
+
+    def __iter__(self) -> Iterator[Part]:
+        return iter(self._term.derive(self._values, held_too=True)[1])
 
 
 @dataclass(frozen=True)
@@ -41,16 +73,31 @@ class Group:
     predicted: Array
     residual: Array
     weighting: Weighting
-    parts: tuple[Part, ...]
+    parts: Sequence[Part]
     covariates: Mapping[str, NDArray]
     covariate_units: Mapping[str, str]
     is_prior: bool
     counted: NDArray[np.bool_]
 
-    @cached_property
+    @property
     def whitened(self) -> tuple[Block, ...]:
         """Whitened residuals and derivatives."""
-        return tuple(m.apply(self.residual, self.parts) for m in self.weighting.whitening)
+        kept = self.__dict__.get("_whitened")
+        if kept is None:
+            kept = tuple(m.apply(self.residual, self.parts) for m in self.weighting.whitening)
+            if not isinstance(self.parts, Derivatives):
+                self.__dict__["_whitened"] = kept
+        return kept
+
+    def source(self, free: NDArray[np.bool_]) -> Source:
+        """The rows, to be evaluated piece by piece, with derivatives with respect to arguments with a free column."""
+        parts = self.parts
+        if isinstance(parts, Derivatives):
+            return Source(parts.columns(held_too=False), self.weighting.whitening,
+                          lambda rows: (self.residual[rows].T, parts.evaluate(rows, False)))
+        kept = [p for p in parts if free[p.columns].any()]
+        return Source(tuple(p.columns for p in kept), self.weighting.whitening,
+                      lambda rows: (self.residual[rows].T, [p.jacobian[rows].transpose(2, 1, 0) for p in kept]))
 
     @cached_property
     def size(self) -> int:
@@ -60,7 +107,8 @@ class Group:
     @cached_property
     def objective(self) -> float:
         """v'Pv of the rows that take part."""
-        return sum(float(np.sum(b.residual[self.counted[b.rows[:, 0]]] ** 2)) for b in self.whitened)
+        blocks = (m.apply(self.residual, ()) for m in self.weighting.whitening)
+        return sum(float(np.sum(b.residual[self.counted[b.rows[:, 0]]] ** 2)) for b in blocks)
 
 
 @dataclass(frozen=True)
@@ -89,15 +137,33 @@ class Linearisation:
     results: Mapping[Quantity, Functions]
     effects: Mapping[Effect, Unknown]
 
-    @cached_property
+    @property
     def blocks(self) -> list[Block]:
         """Whitened rows of all groups."""
         return [b for g in self.groups for b in g.whitened]
 
     @cached_property
+    def _equations(self) -> NormalEquations | None:
+        """The normal equations of a large problem; a small one is factored from its rows."""
+        if len(self.layout.free_columns) <= elimination.DENSE_SIZE:
+            return None
+        sources = [g.source(self.layout.free) for g in self.groups]
+        taken = np.any(self.conditions.matrix != 0.0, axis=0)
+        return NormalEquations.of(sources, pattern_of(sources, self.layout, taken))
+
+    @cached_property
     def factor(self) -> Factor:
         """Factor of the normal equations of the free columns."""
-        return factorise(self.blocks, self.layout, self.conditions)
+        if self._equations is None:
+            return elimination.factorise(self.blocks, self.layout, self.conditions)
+        return elimination.EliminatedFactor(self._equations, self.conditions)
+
+    @cached_property
+    def pull(self) -> Array:
+        """Where the residuals pull the free columns, J'r (p,)."""
+        if self._equations is None:
+            return pulled(self.blocks, [b.residual for b in self.blocks], self.layout)
+        return self._equations.pull
 
     @cached_property
     def objective(self) -> float:
@@ -199,8 +265,11 @@ class Linearisation:
     @cached_property
     def sizes(self) -> Array:
         """Size (p,) of each free column in whitened readings, so that directions in different units compare."""
-        derivatives, _ = self.rows
-        norm = np.sqrt(np.asarray(derivatives.multiply(derivatives).sum(axis=0)).ravel())
+        if self._equations is None:
+            derivatives, _ = self.rows
+            norm = np.sqrt(np.asarray(derivatives.multiply(derivatives).sum(axis=0)).ravel())
+        else:
+            norm = np.sqrt(self._equations.squares)
         return np.where(norm > 0, norm, 1.0)
 
     def held_columns(self, columns: Sequence[int]) -> Array:
@@ -208,6 +277,16 @@ class Linearisation:
         position = np.full(self.layout.size, -1)
         position[np.asarray(columns, dtype=int)] = np.arange(len(columns))
         return np.concatenate([b.dense(position, len(columns)) for b in self.blocks])
+
+
+def pulled(blocks: Sequence[Block], forces: Sequence[Array], layout: Layout) -> Array:
+    """J' times whitened numbers (m, d) of each block, over the free columns (p,)."""
+    total = np.zeros(layout.size)
+    for block, force in zip(blocks, forces, strict=True):
+        for part in block.parts:
+            pull = (part.jacobian * force[:, :, None]).sum(axis=1)
+            total += np.bincount(part.columns.ravel(), pull.ravel(), layout.size)
+    return total[layout.free_columns]
 
 
 def linearise(at: Any, values: Any = None) -> Linearisation:
@@ -231,10 +310,16 @@ def linearise_system(system: System, values: Mapping[Unknown, Array]) -> Lineari
     layout, groups = system.layout, []
     for term, weighting in zip(system.terms, system.weightings(values), strict=True):
         observations = term.bound
-        predicted, parts = term.derive(values, held_too=True)
+        parts: Sequence[Part]
+        if term.n * term.dim * sum(c.shape[1] for c in term.columns) > STORED:
+            parts = lazy = Derivatives(term, values)
+            predicted, columns = term.predict(values), lazy.columns()
+        else:
+            predicted, parts = term.derive(values, held_too=True)
+            columns = tuple(p.columns for p in parts)
         counted = np.ones(term.n, dtype=bool)
         if observations.is_prior:
-            counted = np.any([layout.free[p.columns].any(axis=1) for p in parts], axis=0)
+            counted = np.any([layout.free[c].any(axis=1) for c in columns], axis=0)
         groups.append(
             Group(
                 observations.group,
@@ -245,7 +330,7 @@ def linearise_system(system: System, values: Mapping[Unknown, Array]) -> Lineari
                 predicted,
                 system.residual(term, predicted),
                 weighting,
-                tuple(parts),
+                parts if isinstance(parts, Derivatives) else tuple(parts),
                 observations.covariates,
                 observations.covariate_units,
                 observations.is_prior,

@@ -1,4 +1,4 @@
-"""Normal equations accumulated from blocks of rows: many small blocks of one unknown, and the rest."""
+"""Normal equations accumulated while rows are evaluated: the derivatives of a large problem are never stored."""
 
 from __future__ import annotations
 
@@ -7,88 +7,141 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.blocks import Array, Block, Index, Part
+from calib.blocks import Array, Block, Index, Mixing
+from calib.coupling import Coupling
 from calib.layout import Layout
+from calib.pattern import PIECE, Pattern, Source, Stream
 
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Normal equations of one eliminated unknown of m instances with f columns, and the S other free columns.
+    """Normal equations of m eliminated instances with f columns each, and the S other free columns.
 
-    inner (m, f, f), cross (m, f, S), outer (S, S): blocks of J'J; pull_inner (m, f), pull_outer (S,): J'r.
+    inner (m, f, f), coupling (m, f, S), outer (S, S): blocks of J'J; pull_inner (m, f), pull_outer (S,): J'r;
+    objective: v'Pv.
     """
 
+    pattern: Pattern
     inner: Array
-    cross: Array
+    coupling: Coupling
     outer: Array
     pull_inner: Array
     pull_outer: Array
+    objective: float
 
     @staticmethod
-    def of(blocks: Sequence[Block], instance: Index, slot: Index, m: int, f: int, size: int) -> NormalEquations:
-        """Accumulate blocks.
-
-        instance: of every column, m where it is not eliminated; slot: of every column among the others, S where held.
-        """
-        sums = NormalEquations(
-            np.zeros((m + 1, f, f)),
-            np.zeros((m + 1, f, size + 1)),
-            np.zeros((size + 1, size + 1)),
-            np.zeros((m + 1, f)),
-            np.zeros(size + 1),
-        )  # the last place takes what is held
-        for block in blocks:
-            inside = [p for p in block.parts if _is_eliminated(p, instance, m)]
-            outside = [p for p in block.parts if not _is_eliminated(p, instance, m)]
-            for part in inside:
-                mine = instance[part.columns[:, 0]]
-                np.add.at(sums.pull_inner, mine, _products(part.jacobian, block.residual[:, :, None])[:, :, 0])
-                for other in inside:
-                    np.add.at(sums.inner, mine, _products(part.jacobian, other.jacobian))
-                for other in outside:
-                    places = (mine[:, None] * f + np.arange(f))[:, :, None] * (size + 1) + slot[other.columns][
-                        :, None, :
-                    ]
-                    np.add.at(sums.cross.reshape(-1), places.ravel(), _products(part.jacobian, other.jacobian).ravel())
-            for part in outside:
-                mine = slot[part.columns]
-                np.add.at(sums.pull_outer, mine.ravel(), _products(part.jacobian, block.residual[:, :, None]).ravel())
-                for other in outside:
-                    _add_pairs(sums.outer, mine, slot[other.columns], _products(part.jacobian, other.jacobian))
+    def of(sources: Sequence[Source], pattern: Pattern) -> NormalEquations:
+        """Evaluate and accumulate all rows."""
+        m, f, others = len(pattern.inner), pattern.freedom, len(pattern.outer)
+        sums = _Sums(np.zeros((f, f, m)), np.zeros((f, len(pattern.columns) + 1)),
+                     np.zeros((others + 1, others + 1)), np.zeros((f, m)), np.zeros(others + 1))
+        for stream in pattern.streams:
+            _accumulate(sums, sources[stream.source], stream)
+        upper = sums.outer[:others, :others]
         return NormalEquations(
-            sums.inner[:m],
-            sums.cross[:m, :, :size],
-            sums.outer[:size, :size],
-            sums.pull_inner[:m],
-            sums.pull_outer[:size],
-        )
+            pattern, np.ascontiguousarray(sums.inner.transpose(2, 0, 1)),
+            Coupling(pattern.first, pattern.columns, sums.coupling[:, :-1], others),
+            upper, np.ascontiguousarray(sums.pull_inner.T), sums.pull_outer[:others], sums.objective)
+
+    def _free(self, inner: Array, outer: Array) -> Array:
+        whole = np.empty(self.pattern.size)
+        whole[self.pattern.inner.ravel()], whole[self.pattern.outer] = inner.ravel(), outer
+        return whole
+
+    @property
+    def pull(self) -> Array:
+        """J'r (p,)."""
+        return self._free(self.pull_inner, self.pull_outer)
+
+    @property
+    def squares(self) -> Array:
+        """Diagonal of J'J (p,)."""
+        return self._free(np.einsum("mff->mf", self.inner), np.diag(self.outer))
+
+    def along(self, step: Array) -> float:
+        """step' J'J step, of a step (p,)."""
+        inner, outer = step[self.pattern.inner], step[self.pattern.outer]
+        crossed = self.coupling.times(outer[:, None])[:, :, 0]
+        own = np.einsum("mf,mfg,mg->", inner, self.inner, inner)
+        return float(own + 2 * np.vdot(inner, crossed) + outer @ self.outer @ outer)
 
 
-def _is_eliminated(part: Part, instance: Index, m: int) -> bool:
-    return bool(np.any(instance[part.columns[:, 0]] < m))
+@dataclass
+class _Sums:
+    """What is accumulated, the instances last; the last place of columns takes what is held."""
+
+    inner: Array
+    coupling: Array
+    outer: Array
+    pull_inner: Array
+    pull_outer: Array
+    objective: float = 0.0
 
 
-def _products(left: Array, right: Array) -> Array:
-    """Derivatives (n, d, f) and (n, d, g) multiplied row by row: (n, f, g)."""
-    return left.transpose(0, 2, 1) @ right
+def _accumulate(sums: _Sums, source: Source, stream: Stream) -> None:
+    mixing = source.whitening[stream.mixing]
+    step = max(1, PIECE // mixing.rows.shape[1])
+    outer = [np.zeros((p.rows.shape[1], p.columns.shape[1], len(p.rows))) for p in stream.pairs]
+    pulls: dict[int, Array] = {p.first: np.zeros((p.rows.shape[1], len(p.rows))) for p in stream.pairs
+                               if p.first == p.second}
+    for begin in range(0, len(stream.blocks), step):
+        here = slice(begin, begin + step)
+        residual, derivatives = whitened(source, mixing, stream.blocks[here])
+        sums.objective += float(np.vdot(residual, residual))
+        outside = [derivatives[j, a] for j, a in stream.outside]
+        if stream.inside:
+            mine = sum((derivatives[key] for key in stream.inside[1:]), derivatives[stream.inside[0]])
+            _inside(sums, stream, here, mine, outside, residual)
+        for pair, total in zip(stream.pairs, outer, strict=True):
+            index, many = pair.index[here], total.shape[2]
+            products = np.einsum("adc,bdc->abc", outside[pair.first], outside[pair.second])
+            for row, of_row in zip(total, products, strict=True):
+                for cell, product in zip(row, of_row, strict=True):
+                    cell += np.bincount(index, product, many) if many > 1 else product.sum()
+            if pair.first == pair.second:
+                for cell, pull in zip(pulls[pair.first], np.einsum("adc,dc->ac", outside[pair.first], residual),
+                                      strict=True):
+                    cell += np.bincount(index, pull, many) if many > 1 else pull.sum()
+    for pair, total in zip(stream.pairs, outer, strict=True):
+        rows, columns = pair.rows[:, :, None], pair.columns[:, None, :]
+        np.add.at(sums.outer, (rows, columns), total.transpose(2, 0, 1))
+        if pair.first == pair.second:
+            np.add.at(sums.pull_outer, pair.rows, pulls[pair.first].T)
+        else:
+            np.add.at(sums.outer, (columns.transpose(0, 2, 1), rows.transpose(0, 2, 1)), total.transpose(2, 1, 0))
 
 
-def _add_pairs(matrix: Array, rows: Index, columns: Index, products: Array) -> None:
-    """Add products (n, f, g) at rows (n, f) and columns (n, g), summing first what goes to the same places."""
-    if not (_run_on(rows) and _run_on(columns)):
-        np.add.at(matrix, (rows[:, :, None], columns[:, None, :]), products)
-        return
-    keys = rows[:, 0] * len(matrix) + columns[:, 0]
-    order = np.argsort(keys, kind="stable")
-    first = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    summed = np.add.reduceat(products.reshape(len(products), -1)[order], first, axis=0)
-    chosen = order[first]
-    np.add.at(matrix, (rows[chosen][:, :, None], columns[chosen][:, None, :]), summed.reshape(-1, *products.shape[1:]))
+def _inside(sums: _Sums, stream: Stream, here: slice, mine: Array, outside: list[Array], residual: Array) -> None:
+    """Add products with the eliminated columns, derivatives mine (f, d, c), of some blocks of a stream."""
+    owner, places = stream.owner[here], stream.places[:, here]
+    starts = np.flatnonzero(np.diff(owner, prepend=-1))
+    met = owner[starts]
+    sums.inner[:, :, met] += np.add.reduceat(np.einsum("kdc,ldc->klc", mine, mine), starts, axis=2)
+    sums.pull_inner[:, met] += np.add.reduceat(np.einsum("kdc,dc->kc", mine, residual), starts, axis=1)
+    if outside:
+        crossed = np.einsum("kdc,odc->koc", mine, np.concatenate(outside))
+        for plane, products in zip(sums.coupling, crossed, strict=True):
+            if stream.alone:
+                plane[places] += products
+            else:
+                np.add.at(plane, places, products)
 
 
-def _run_on(places: Index) -> bool:
-    """Whether the first place of every row tells the others, as it does unless some of them are held."""
-    return bool(np.all(places == places[:, :1] + np.arange(places.shape[1])))
+def whitened(source: Source, mixing: Mixing, blocks: Index) -> tuple[Array, dict[tuple[int, int], Array]]:
+    """Whitened residuals (d, c) of some blocks (c,) of a row operation, and derivatives (f, d, c) for each
+    (row of the block, argument)."""
+    rows, matrix = mixing.rows[blocks], mixing.matrix[blocks]
+    if matrix.ndim == 2:
+        weight = np.ascontiguousarray(matrix.T)
+        residual, derivatives = source.evaluate(rows[:, 0])
+        return weight * residual, {(0, a): weight * one for a, one in enumerate(derivatives)}
+    k = rows.shape[1]
+    residual, derivatives = source.evaluate(rows.ravel())
+    dim = len(residual)
+    weights = [matrix[:, :, j * dim : (j + 1) * dim] for j in range(k)]
+    mixed = sum(np.einsum("mde,em->dm", w, residual[:, j::k]) for j, w in enumerate(weights))
+    return np.asarray(mixed), {(j, a): np.einsum("mde,fem->fdm", w, one[:, :, j::k])
+                               for j, w in enumerate(weights) for a, one in enumerate(derivatives)}
 
 
 def sparse_rows(blocks: Sequence[Block], layout: Layout):  # type: ignore[no-untyped-def]

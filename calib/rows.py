@@ -128,7 +128,11 @@ class Program:
         return len(self._steps)
 
     def __call__(self, inputs: Sequence[Any], n: int) -> Array:
-        return self.run(inputs, n, compiled=pays(len(self._steps), _EVALUATIONS * n))
+        return self.run(inputs, n, compiled=self.pays(n))
+
+    def pays(self, n: int) -> bool:
+        """Whether a solve with n such rows is better off with the compiled program."""
+        return pays(len(self._steps), _EVALUATIONS * n)
 
     @cached_property
     def compiled(self) -> CompiledRows:

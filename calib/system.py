@@ -10,17 +10,20 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.blocks import Array, Block, Part
+from calib.blocks import Array, Block, Index, Part
 from calib.errors import CalibrationError, ModelBreakdown
 from calib.layout import Layout
 from calib.observations import BoundModel, Constraint, Observations, Quantity
+from calib.pattern import Source, pieces
 from calib.problem import Problem
 from calib.trace import Traced, numeric_covariates, trace
 from calib.uncertainty import Weighting
 from calib.unknown import Unknown
 
 Values = Mapping[Unknown, Array]
+Rows = Index | slice
 B = TypeVar("B", bound=BoundModel)
+EVERY = slice(None)
 
 
 @dataclass(frozen=True)
@@ -31,13 +34,14 @@ class _Feed:
     index: NDArray[np.int64]
     data: Array
 
-    def inputs(self, values: Values) -> list[Any]:
+    def inputs(self, values: Values, rows: Rows = EVERY) -> list[Any]:
         if self.unknown is None:
-            return [c[0] if len(c) == 1 else c for c in np.ascontiguousarray(self.data.T)]
+            data = self.data if len(self.data) == 1 else self.data[rows]
+            return [c[0] if len(self.data) == 1 else c for c in np.ascontiguousarray(data.T)]
         stored = values[self.unknown]
         if self.unknown.count == 1:
             return list(stored[0])
-        return list(np.ascontiguousarray(stored[self.index].T))
+        return list(np.ascontiguousarray(stored[self.index[rows]].T))
 
 
 class Term(Generic[B]):
@@ -51,25 +55,39 @@ class Term(Generic[B]):
         self.any_free = tuple(bool(layout.free[c].any()) for c in self.columns)
         self.any_unknown = tuple(f.unknown is not None for f in feeds)
 
-    def _inputs(self, values: Values) -> list[Any]:
-        return [column for feed in self.feeds for column in feed.inputs(values)]
+    def _inputs(self, values: Values, rows: Rows = EVERY) -> list[Any]:
+        return [column for feed in self.feeds for column in feed.inputs(values, rows)]
 
     def predict(self, values: Values) -> Array:
         """Predictions (n, dim)."""
         nothing = (False,) * len(self.feeds)
         return np.ascontiguousarray(self.traced.program(nothing)(self._inputs(values), self.n).T)
 
+    def wanted(self, held_too: bool) -> tuple[bool, ...]:
+        """Which arguments have derivatives: those with anything free, or all unknowns."""
+        return self.any_unknown if held_too else self.any_free
+
+    def evaluate(self, values: Values, rows: Index, held_too: bool = False) -> tuple[Array, list[Array]]:
+        """Predictions (dim, c) of chosen rows (c,), and derivatives (f, dim, c) with respect to each argument that is
+        wanted."""
+        wanted = self.wanted(held_too)
+        program = self.traced.program(wanted)
+        # Compiled or not is decided for all rows, so that a piece has the digits of the whole.
+        result = program.run(self._inputs(values, rows), len(rows), program.pays(self.n))
+        return result[: self.dim], self._split(result, wanted)
+
+    def _split(self, result: Array, wanted: tuple[bool, ...]) -> list[Array]:
+        freedom = [s.freedom for s, want in zip(self.traced.sources, wanted, strict=True) if want]
+        ends = self.dim * (1 + np.cumsum([0, *freedom]))
+        return [result[a:b].reshape(f, self.dim, -1) for f, a, b in zip(freedom, ends[:-1], ends[1:], strict=True)]
+
     def derive(self, values: Values, held_too: bool = False) -> tuple[Array, list[Part]]:
         """Predictions (n, dim) and their derivatives; held_too: also with respect to what is held."""
-        wanted = self.any_unknown if held_too else self.any_free
+        wanted = self.wanted(held_too)
         result = self.traced.program(wanted)(self._inputs(values), self.n)
-        parts, begin = [], self.dim
-        for columns, source, want in zip(self.columns, self.traced.sources, wanted, strict=True):
-            if want:
-                end = begin + self.dim * source.freedom
-                jacobian = result[begin:end].reshape(source.freedom, self.dim, self.n).transpose(2, 1, 0)
-                parts.append(Part(columns, np.ascontiguousarray(jacobian)))
-                begin = end
+        columns = [c for c, want in zip(self.columns, wanted, strict=True) if want]
+        parts = [Part(c, np.ascontiguousarray(j.transpose(2, 1, 0)))
+                 for c, j in zip(columns, self._split(result, wanted), strict=True)]
         return np.ascontiguousarray(result[: self.dim].T), parts
 
     def matrix(self, values: Values, size: int) -> tuple[Array, Array]:
@@ -195,13 +213,13 @@ class System:
         """Whether any uncertainty depends on row quantities."""
         return any(o.uncertainty.needs for o in self.problem.observations)
 
-    def residual(self, term: Term[Observations], predicted: Array) -> Array:
-        """Reading minus prediction (n, dim), brought into half a period where readings are periodic; zero if
-        planned."""
+    def residual(self, term: Term[Observations], predicted: Array, rows: Rows = EVERY) -> Array:
+        """Reading minus prediction (c, dim) of chosen rows, brought into half a period where readings are periodic;
+        zero if planned."""
         observations = term.bound
         if observations.readings is None:
             return np.zeros_like(predicted)
-        residual = observations.readings - predicted
+        residual = observations.readings[rows] - predicted
         if observations.period is not None:
             periods = (
                 [observations.period] * term.dim if np.ndim(observations.period) == 0 else list(observations.period)
@@ -212,7 +230,7 @@ class System:
         bad = np.argwhere(~np.isfinite(residual))
         if len(bad):
             raise ModelBreakdown(
-                f"observations '{observations.group}', row {observations.rows[bad[0][0]]}: the model "
+                f"observations '{observations.group}', row {observations.rows[rows][bad[0][0]]}: the model "
                 f"{observations.model_name} gives {predicted[tuple(bad[0])]} at the present values of "
                 f"{', '.join(u.name for u in observations.unknowns)}; start nearer, or mend the model there."
             )
@@ -224,32 +242,33 @@ class System:
 
     def whitened(self, values: Values, weightings: Sequence[Weighting]) -> Array:
         """All whitened residuals in one vector."""
-        pieces = [
+        return np.concatenate([
             m.apply(r, ()).residual.ravel()
             for r, w in zip(self.residuals(values), weightings, strict=True)
             for m in w.whitening
-        ]
-        return np.concatenate(pieces)
+        ])
 
     def rounding(self, values: Values, weightings: Sequence[Weighting]) -> float:
         """Size in units of u of the rounding of all predictions and of the values themselves (a coordinate of 6000 km
         is known to 1 nm), below which no step can be told from noise."""
-        total = 0.0
+        total, sizes = 0.0, self._stored(values)
         for term, weighting in zip(self.terms, weightings, strict=True):
-            predicted, parts = term.derive(values)
-            total += float(np.sum((predicted / weighting.u) ** 2))
-            for part in parts:
-                stored = self._stored(values, part.columns)
-                total += float(np.sum((part.jacobian * stored[:, None, :] / weighting.u[:, :, None]) ** 2))
+            columns = [c for c, free in zip(term.columns, term.any_free, strict=True) if free]
+            for rows in pieces(term.n):
+                predicted, derivatives = term.evaluate(values, rows)
+                weight = 1.0 / weighting.u[rows].T
+                total += float(np.sum((predicted * weight) ** 2))
+                for c, one in zip(columns, derivatives, strict=True):
+                    total += float(np.sum((one * weight * sizes[c[rows]].T[:, None]) ** 2))
         return 8 * float(np.finfo(float).eps) * float(np.sqrt(total))
 
-    def _stored(self, values: Values, columns: Array) -> Array:
+    def _stored(self, values: Values) -> Array:
         """Size of the stored number behind each column; 1 for those of rotations and directions."""
         sizes = [
             np.abs(values[u]).ravel() if u.kind == "vector" else np.ones(u.count * u.freedom)
             for u in self.layout.unknowns
         ]
-        return np.concatenate(sizes)[columns]
+        return np.concatenate(sizes)
 
     def blocks(self, values: Values, weightings: Sequence[Weighting]) -> list[Block]:
         """All whitened residuals with the derivatives of the predictions with respect to what is free."""
@@ -259,6 +278,18 @@ class System:
             residual = self.residual(term, predicted)
             blocks += [m.apply(residual, parts) for m in weighting.whitening]
         return blocks
+
+    def sources(self, values: Values, weightings: Sequence[Weighting]) -> list[Source]:
+        """The rows of every group, to be evaluated piece by piece, with derivatives with respect to what is free."""
+        return [self._source(term, weighting, values) for term, weighting in zip(self.terms, weightings, strict=True)]
+
+    def _source(self, term: Term[Observations], weighting: Weighting, values: Values) -> Source:
+        def evaluate(rows: Index) -> tuple[Array, list[Array]]:
+            predicted, derivatives = term.evaluate(values, rows)
+            return self.residual(term, predicted.T, rows).T, derivatives
+
+        columns = tuple(c for c, free in zip(term.columns, term.any_free, strict=True) if free)
+        return Source(columns, weighting.whitening, evaluate)
 
     # --- conditions and results -----------------------------------------------------------------------------------
 

@@ -23,7 +23,7 @@ LAYERS = (
     ("calib.observations",),
     ("calib.rows", "calib.compiled", "calib.trace"),
     ("calib.problem",),
-    ("calib.layout", "calib.factor", "calib.normal", "calib.elimination"),
+    ("calib.layout", "calib.factor", "calib.pattern", "calib.coupling", "calib.normal", "calib.elimination"),
     ("calib.system", "calib.defect"),
     ("calib.linearisation",),
     ("calib.analyse", "calib.solve"),

@@ -23,7 +23,7 @@ def both(system, stored, fit):
     """The smallest curvature by directions, and from the whole Hessian within the conditions."""
     weightings = [g.weighting for g in fit.groups]
     nothing = np.zeros(len(system.conditions))
-    found = smallest_curvature(system.bend(stored, weightings, nothing), fit.blocks, system.layout, fit.factor)
+    found = smallest_curvature(system.bend(stored, weightings, nothing), fit)
     root = fit.factor.root
     second = system.second_order(stored, weightings, nothing)
     return found, 1.0 + float(np.linalg.eigvalsh(root.T @ second @ root)[0])

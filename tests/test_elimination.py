@@ -1,10 +1,11 @@
 """The factor with eliminated blocks against the dense one, on the same readings."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from declared import network
 
-from calib import Constraint, elimination, estimability, linearise, prior, reliability
+from calib import Constraint, Gaussian, Observations, elimination, estimability, linearise, prior, reliability
 from calib.elimination import EliminatedFactor
 from calib.factor import DenseFactor
 from calib.linearisation import linearise as linearise_problem
@@ -20,7 +21,22 @@ def both(problem, monkeypatch):
     return dense, eliminated
 
 
+def lengths(point, first, second, u=1e-5):
+    """Distances between points, of which at most one of a pair can be eliminated."""
+    a, b = point.ambient[first], point.ambient[second]
+    return Observations(lambda a, b: ca.norm_2(a - b), point[first], point[second],
+                        readings=np.linalg.norm(a - b, axis=1) + 1e-3, u=u, group="bars")
+
+
 CASES = {
+    "bars between points": lambda p, s, q: p.with_observations(lengths(q, np.array([1, 4, 4, 9]),
+                                                                       np.array([4, 7, 9, 2]))),
+    "points as stations": lambda p, s, q: p.with_observations(lengths(q, np.repeat([3, 8], 12),
+                                                                      np.array([*range(3), *range(4, 8), *range(9, 14)] * 2))
+                                                              ).hold(q[8]),
+    "correlated readings of two points": lambda p, s, q: p.with_observations(lengths(
+        q, np.array([0, 5, 6, 11]), np.array([1, 2, 3, 4]),
+        Gaussian.groups(["A", "A", "B", "B"], {k: 1e-10 * np.array([[1, 0.6], [0.6, 1]]) for k in "AB"}))),
     "points and stations": lambda p, s, q: p,
     "a point held": lambda p, s, q: p.hold(q[3]),
     "priors on points": lambda p, s, q: p.with_observations(prior(q[2], q.ambient[2], 1e-5)),

@@ -9,8 +9,10 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.blocks import Array, Block, Mixing
+from calib.blocks import Array, Index
 from calib.linearisation import Group, Linearisation
+from calib.normal import whitened
+from calib.pattern import Source, pieces
 
 INVISIBLE = 1e-10  # redundancy number below which a reading is not controlled by any other
 
@@ -62,8 +64,8 @@ def reliability(fit: Linearisation, level: float = 0.001, power: float = 0.8) ->
     if functions is not None and len(functions.labels):
         through = np.zeros((len(functions.labels), fit.layout.size))
         through[:, fit.layout.free_columns] = fit.factor.solve(fit.free_part(functions.derivatives).T).T
-    pieces = [_group(fit, group, through) for group in fit.groups]
-    columns = {name: np.concatenate([p[name] for p in pieces]) for name in pieces[0]}
+    found = [_group(fit, group, through) for group in fit.groups]
+    columns = {name: np.concatenate([one[name] for one in found]) for name in found[0]} if len(found) > 1 else found[0]
     influences = columns.pop("influence")
     from scipy.special import erfc
 
@@ -89,26 +91,30 @@ def _group(fit: Linearisation, group: Group, through: Array | None) -> dict[str,
     n, dim = group.residual.shape
     redundancy, weighed, scale = np.empty((n, dim)), np.empty((n, dim)), np.empty((n, dim))
     influence = np.zeros((n, dim, 0 if through is None else len(through)))
+    source = group.source(fit.layout.free)
     for mixing in group.weighting.weights:
-        block = mixing.apply(group.residual, group.parts)  # rows of P J and P v
-        targets = block.residual.shape[1] // dim
-        rows = mixing.rows[:, :targets]
-        plain = _plain(group, rows)
-        own = _own_weight(mixing, block.residual.shape[1])
-        if mixing.matrix.ndim == 2:
-            hat = own * _variance(fit, plain)  # (J C J' P)_ii of independent readings
-            leverage = own * hat
-        else:
-            hat = _rowwise(fit, plain, block)  # (J C J' P)_ii
-            leverage = _variance(fit, block)  # (P J C J' P)_ii
-        redundancy[rows] = (1.0 - hat).reshape(len(rows), targets, dim)
-        weighed[rows] = block.residual.reshape(len(rows), targets, dim)
-        scale[rows] = np.sqrt(np.maximum(own - leverage, 0.0)).reshape(len(rows), targets, dim)
-        if through is not None:
-            change = np.zeros((*block.residual.shape, len(through)))
-            for part in block.parts:
-                change += np.einsum("mdf,kmf->mdk", part.jacobian, through[:, part.columns])
-            influence[rows] = change.reshape(len(rows), targets, dim, -1)
+        for blocks in pieces(len(mixing.rows), mixing.rows.shape[1]):
+            residual, derivatives = whitened(source, mixing, blocks)  # rows of P J and P v
+            pull = [(source.columns[a][mixing.rows[blocks, j]], one) for (j, a), one in derivatives.items()]
+            targets = len(residual) // dim  # blocks list their own rows first
+            rows = mixing.rows[blocks, :targets]
+            own = mixing.matrix[blocks].T if mixing.matrix.ndim == 2 else np.einsum(
+                "mdd->dm", mixing.matrix[blocks, :, : len(residual)])
+            if mixing.matrix.ndim == 2:
+                leverage = _variance(fit, pull, pull)  # (P J C J' P)_ii
+                hat = leverage / own  # (J C J' P)_ii of independent readings
+            else:
+                leverage, hat = _variance(fit, pull, pull), _variance(fit, _plain(source, rows), pull)
+
+            def placed(numbers: Array, rows: Index = rows, targets: int = targets) -> Array:
+                return np.reshape(numbers.T, (len(rows), targets, dim, *numbers.shape[:-2]))
+
+            redundancy[rows] = placed(1.0 - hat)
+            weighed[rows] = placed(residual)
+            scale[rows] = placed(np.sqrt(np.maximum(own - leverage, 0.0)))
+            if through is not None:
+                influence[rows] = placed(sum(
+                    np.einsum("fdm,kmf->kdm", one, through[:, columns]) for columns, one in pull))
     readings = np.full((n, dim), np.nan) if group.readings is None else group.readings
     return {
         "group": np.full(n * dim, group.name),
@@ -126,43 +132,30 @@ def _group(fit: Linearisation, group: Group, through: Array | None) -> dict[str,
     }
 
 
-def _plain(group: Group, rows: NDArray[np.int64]) -> Block:
-    """Derivatives of the readings themselves, in the same blocks."""
-    size = rows.shape[1] * group.residual.shape[1]
-    identity = np.broadcast_to(np.eye(size), (len(rows), size, size))
-    return Mixing(rows, np.ones((len(rows), size)) if rows.shape[1] == 1 else identity).apply(
-        group.residual, group.parts
-    )
+Derived = list[tuple[Index, Array]]  # columns (m, f) and derivatives (f, d, m) of the same d numbers in m blocks
 
 
-def _own_weight(mixing: Mixing, size: int) -> Array:
-    """Diagonal of P in each block (m, d); blocks list their own rows first."""
-    return mixing.matrix if mixing.matrix.ndim == 2 else np.einsum("mdd->md", mixing.matrix[:, :, :size])
+def _plain(source: Source, rows: Index) -> Derived:
+    """Derivatives of the readings of rows (m, k) themselves, row after row in blocks of k."""
+    k = rows.shape[1]
+    residual, derivatives = source.evaluate(rows.ravel())
+    dim, found = len(residual), []
+    for columns, one in zip(source.columns, derivatives, strict=True):
+        for j in range(k):
+            whole = np.zeros((len(one), k * dim, len(rows)))
+            whole[:, j * dim : (j + 1) * dim] = one[:, :, j::k]
+            found.append((columns[rows[:, j]], whole))
+    return found
 
 
-def _variance(fit: Linearisation, block: Block) -> Array:
-    """Diagonal (m, d) of J C J' of a block: each pair of parts once."""
-    position, total = fit.layout.position, np.zeros(block.residual.shape)
-    parts = [p for p in block.parts if (position[p.columns] >= 0).any()]
-    for i, a in enumerate(parts):
-        for b in parts[i:]:
-            between = fit.factor.between(position[a.columns], position[b.columns])
-            both = np.einsum("mdf,mdf->md", a.jacobian @ between, b.jacobian)
-            total += both if a is b else 2 * both
-    return total
-
-
-def _rowwise(fit: Linearisation, first: Block, second: Block) -> Array:
-    """Diagonal (m, d) of first C second' for blocks over the same readings."""
-    position, total = fit.layout.position, np.zeros(first.residual.shape)
-    for a in first.parts:
-        left = position[a.columns]
-        if not (left >= 0).any():
-            continue
-        for b in second.parts:
-            right = position[b.columns]
-            if (right >= 0).any():
-                total += np.einsum(
-                    "mdf,mfg,mdg->md", a.jacobian, fit.factor.between(left, right), b.jacobian, optimize=True
-                )
+def _variance(fit: Linearisation, first: Derived, second: Derived) -> Array:
+    """Diagonal (d, m) of first C second' of the same blocks; each pair once where both are the same."""
+    position, total = fit.layout.position, np.zeros(1)
+    for i, (a, left) in enumerate(first):
+        for k, (b, right) in enumerate(second):
+            if first is second and k < i:
+                continue
+            between = fit.factor.between(position[a], position[b]).transpose(1, 2, 0)
+            both = np.einsum("gdm,gdm->dm", np.einsum("fdm,fgm->gdm", left, between), right)
+            total = total + (2 * both if first is second and k > i else both)
     return total

@@ -100,6 +100,7 @@ class CompiledRows:
         here = compiler()
         if here is None:
             raise CalibrationError("rows cannot be compiled: llvmlite is not installed or does not know this machine.")
+        self._compiler = here  # whose memory holds the code
         self._kernel, self._lanes = here.kernel(instructions), here.lanes
         self._size, self._outputs = len(instructions), outputs
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calib.blocks import Array
 from calib.linearisation import Linearisation
-from calib.solve.curvature import pulled, smallest_curvature
+from calib.solve.curvature import smallest_curvature
 from calib.system import System, Values
 
 STATIONARITY = 1e-6  # remaining step, in units of u, that passes
@@ -62,7 +62,7 @@ def certify(
             passed,
             "duality gap closed" if passed else "the duality gap is open or a condition is broken",
         )
-    pull = pulled(fit.blocks, [b.residual for b in fit.blocks], layout)
+    pull = fit.pull
     low, high = system.at_bounds(values)
     pins = np.union1d(low, high)
     stationarity = float(np.sqrt(factor.covariance(pull[None])[0, 0]))
@@ -71,7 +71,7 @@ def certify(
     curvature = None
     if len(layout.free_columns) <= CURVATURE_SIZE and not factor.defect:
         bend = system.bend(values, weightings, multipliers[: len(equal) + len(unequal)])
-        curvature = 1.0 if bend is None else smallest_curvature(bend, fit.blocks, layout, factor)
+        curvature = 1.0 if bend is None else smallest_curvature(bend, fit)
     reasons = []
     # No step below the rounding of the values themselves can be taken.
     if not (stationarity <= STATIONARITY or stationarity <= system.rounding(values, weightings)):

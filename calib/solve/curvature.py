@@ -9,40 +9,28 @@ Analysis and Applications 13(4), theorem 4.2.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
-from calib.blocks import Array, Block
-from calib.elimination import Factor
-from calib.layout import Layout
+from calib.blocks import Array
+from calib.linearisation import Linearisation, pulled
 
 DOUBT = 1e-9  # probability at most that a direction of downward curvature stays unseen
 KNOWN = 1e-3  # to which the smallest curvature is wanted, where it is not small
 STEPS = 200
 
 
-def pulled(blocks: Sequence[Block], forces: Sequence[Array], layout: Layout) -> Array:
-    """J' times whitened numbers (m, d) of each block, over the free columns (p,)."""
-    total = np.zeros(layout.size)
-    for block, force in zip(blocks, forces, strict=True):
-        for part in block.parts:
-            pull = (part.jacobian * force[:, :, None]).sum(axis=1)
-            total += np.bincount(part.columns.ravel(), pull.ravel(), layout.size)
-    return total[layout.free_columns]
-
-
-def smallest_curvature(
-    bend: Callable[[Array], Array], blocks: Sequence[Block], layout: Layout, factor: Factor
-) -> float:
+def smallest_curvature(bend: Callable[[Array], Array], fit: Linearisation) -> float:
     """Smallest eigenvalue of the exact Hessian of half v'Pv in the metric of the Gauss-Newton matrix: 1 where straight.
 
-    bend: what the Hessian adds to the Gauss-Newton matrix, times a step (p,); blocks, layout, factor: of that matrix.
+    bend: what the Hessian adds to the Gauss-Newton matrix, times a step (p,); fit: that matrix.
     Not a number where second derivatives are not finite.
     """
+    factor = fit.factor
     generator = np.random.default_rng(0)
     # A random step whose size in units of u is alike in all directions: it answers random readings.
-    force = pulled(blocks, [generator.standard_normal(b.residual.shape) for b in blocks], layout)
+    force = pulled(fit.blocks, [generator.standard_normal(b.residual.shape) for b in fit.blocks], fit.layout)
     step = factor.solve(force[:, None])[:, 0]
     length = math.sqrt(max(float(force @ step), 0.0))
     if not length > 0.0:

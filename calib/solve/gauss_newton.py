@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib import elimination
 from calib.blocks import Array, Block
-from calib.elimination import factorise
+from calib.elimination import EliminatedFactor, Factor, factorise
 from calib.errors import ModelBreakdown
 from calib.factor import Conditions, DenseFactor
 from calib.layout import Layout
+from calib.normal import NormalEquations
+from calib.pattern import pattern_of
 from calib.solve.method import Method, Outcome, missing_readings
 from calib.system import System, Values
 from calib.uncertainty import Weighting
@@ -47,18 +50,20 @@ class GaussNewton(Method):
         here = _Point.at(system, values, weightings)
         if not np.isfinite(here.objective):
             system.blocks(values, weightings)  # raises the sentence that names row and model
-        floor, damping, growth, penalty, last = system.rounding(values, weightings), 0.0, 2.0, 0.0, float("inf")
+        damping, growth, penalty, last = 0.0, 2.0, 0.0, float("inf")
         lengths, slow = here.squares, 0
         message = "stopped at the limit of iterations"
         for iteration in range(1, self.iterations + 1):
             lengths = np.maximum(lengths, here.squares)  # as MINPACK: a column that fades does not lose its damping
             pins, room = _active(system, here.values, here.pull)
             conditions = here.conditions.pinned(pins, np.zeros(len(pins)))
-            undamped = factorise(here.blocks, layout, conditions)
+            undamped = here.factor(layout, conditions)
             remaining = undamped.decrement
             still = remaining >= 0.5 * last or (remaining <= 1e-6 and remaining <= 1e-3 * last)
             if here.infeasible <= 1e-3 and (
-                remaining <= self.tolerance or (remaining <= max(1e-6, floor) and still and damping == 0.0)
+                remaining <= self.tolerance
+                or (still and damping == 0.0
+                    and (remaining <= 1e-6 or remaining <= system.rounding(here.values, weightings)))
             ):
                 arrived = _moved(layout, here.values, undamped.step, room)
                 if system.active_conditions(arrived)[2] <= 1.0:  # a bent condition may be left by the last step
@@ -83,7 +88,7 @@ class GaussNewton(Method):
                     step = (
                         undamped.step
                         if damping == 0.0
-                        else factorise(here.blocks, layout, conditions, damping * lengths).step
+                        else here.factor(layout, conditions, damping * lengths).step
                     )
                 there = _Point.at(system, _moved(layout, here.values, step, room), weightings)
                 promised = here.promised(layout, step) + penalty * here.infeasible - bent
@@ -107,14 +112,15 @@ class GaussNewton(Method):
 
 @dataclass(frozen=True)
 class _Point:
-    """A system evaluated at values: whitened rows, J'r and the diagonal of J'J over the free columns, and conditions.
+    """A system evaluated at values: whitened rows, or the normal equations of a large problem, J'r and the diagonal of
+    J'J over the free columns, and conditions.
 
     objective: v'Pv; infeasible: sum of the excesses in units of their tolerances; both infinite where the model breaks
     down.
     """
 
     values: dict[Unknown, Array]
-    blocks: list[Block]
+    rows: list[Block] | NormalEquations
     pull: Array
     squares: Array
     conditions: Conditions
@@ -125,31 +131,48 @@ class _Point:
     @staticmethod
     def at(system: System, values: dict[Unknown, Array], weightings: Sequence[Weighting]) -> _Point:
         free, nothing = system.layout.free_columns, np.zeros(0)
+        excess, matrix, tolerance = system.equalities(values)
+        conditions = Conditions(matrix[:, free], -excess)
+        rows: list[Block] | NormalEquations
         try:
-            blocks = system.blocks(values, weightings)
             with np.errstate(over="ignore", invalid="ignore"):
-                pull, squares = _gradient(blocks, system.layout.position, len(free))
-                objective = sum(float(np.vdot(b.residual, b.residual)) for b in blocks)
+                if len(free) > elimination.DENSE_SIZE:
+                    taken = np.any(conditions.matrix != 0.0, axis=0)
+                    taken[np.concatenate(system.at_bounds(values))] = True
+                    sources = system.sources(values, weightings)
+                    rows = NormalEquations.of(sources, pattern_of(sources, system.layout, taken))
+                    pull, squares, objective = rows.pull, rows.squares, rows.objective
+                else:
+                    rows = system.blocks(values, weightings)
+                    pull, squares = _gradient(rows, system.layout.position, len(free))
+                    objective = sum(float(np.vdot(b.residual, b.residual)) for b in rows)
         except ModelBreakdown:
             return _Point(values, [], nothing, nothing, Conditions.none(len(free)), nothing, np.inf, np.inf)
-        excess, matrix, tolerance = system.equalities(values)
         sound = np.isfinite(objective) and np.isfinite(squares).all()
         return _Point(
             values,
-            blocks,
+            rows,
             pull,
             squares,
-            Conditions(matrix[:, free], -excess),
+            conditions,
             tolerance,
             objective if sound else np.inf,
             float(np.abs(excess / tolerance).sum()),
         )
 
+    def factor(self, layout: Layout, conditions: Conditions, damping: Array | None = None) -> Factor:
+        """Factor of the normal equations within conditions; damping (p,) is added to their diagonal."""
+        if isinstance(self.rows, NormalEquations):
+            return EliminatedFactor(self.rows, conditions, damping)
+        return factorise(self.rows, layout, conditions, damping)
+
     def promised(self, layout: Layout, step: Array) -> float:
         """By how much v'Pv would fall over a step (p,) if the model were straight."""
+        if isinstance(self.rows, NormalEquations):
+            return 2.0 * float(step @ self.pull) - self.rows.along(step)
         full = np.zeros(layout.size)
         full[layout.free_columns] = step
-        changes = [(b.residual, b.times(full)) for b in self.blocks]
+        changes = [(b.residual, b.times(full)) for b in self.rows]
         return float(sum(np.vdot(c, 2 * r - c) for r, c in changes))
 
 
