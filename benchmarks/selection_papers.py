@@ -19,7 +19,7 @@ import calib
 from calib import A, C, D, Ds, E, Exhaustive, G, Observations, Pose, Problem, Quantity, Shared
 from calib.analyse.selection.exact import enumerated
 from calib.analyse.selection.planning import next_best, over
-from calib.analyse.selection.select import requested
+from calib.analyse.selection.request import requested
 from calib.errors import RankDefect
 from calib.units import arcsec, degree, mm, um
 from problems import base_point, base_point_layout, base_point_published, circle

@@ -28,7 +28,7 @@ from calib.analyse.selection.exact import enumerated
 from calib.analyse.selection.exchange import exchange
 from calib.analyse.selection.greedy import greedy
 from calib.analyse.selection.relaxation import relax
-from calib.analyse.selection.select import requested
+from calib.analyse.selection.request import requested
 
 RESULTS = Path(__file__).parent / "results"
 CASES = ((84, 6, 20), (84, 12, 30), (1000, 30, 60), (10_000, 60, 120))

@@ -35,7 +35,7 @@ from calib.analyse.selection.conic import conic
 from calib.analyse.selection.limits import Limits
 from calib.analyse.selection.objective import Objective
 from calib.analyse.selection.relaxation import relax
-from calib.analyse.selection.select import requested
+from calib.analyse.selection.request import requested
 from calib.analyse.selection.terms import Determinant, DeterminantOfSet, Trace
 from calib.analyse.selection.worst import Largest, LargestOf
 from calib.uncertainty import Gaussian

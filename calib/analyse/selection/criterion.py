@@ -8,11 +8,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from calib import units
 from calib.analyse.covariance import refuse_what_cannot_be_known
 from calib.analyse.selection.candidates import Candidates
 from calib.analyse.selection.terms import Determinant, DeterminantOfSet, Term, Trace
 from calib.analyse.selection.worst import Largest, LargestOf
-from calib.errors import InputError, RankDefect
+from calib.errors import DeclarationError, InputError, RankDefect
 from calib.linearisation import Functions, Linearisation
 
 
@@ -28,6 +29,9 @@ class Criterion(Protocol):
     def term(self, candidates: Candidates) -> Term:
         """The criterion as a function of the information."""
 
+    def unit(self, fit: Linearisation) -> str:
+        """Its unit, empty where it has none that has a name."""
+
 
 @dataclass(frozen=True)
 class D:
@@ -39,6 +43,9 @@ class D:
     def asked(self, fit: Linearisation) -> Functions | None:
         return None
 
+    def unit(self, fit: Linearisation) -> str:
+        return ""
+
     def term(self, candidates: Candidates) -> Term:
         if candidates.fit.factor.defect:
             from calib.analyse.estimability import estimability
@@ -46,6 +53,48 @@ class D:
             directions = estimability(candidates.fit).directions
             raise RankDefect(f"no choice has a determinant: {'; '.join(directions)}", directions=directions)
         return Determinant(candidates.rows, candidates.fixed, candidates.log_scale)
+
+
+def functions_of(fit: Linearisation, *what: Any) -> Functions:
+    """Functions of a linearisation; a text may also name one part or instance of a quantity, such as "gap[A].x".
+
+    Raises InputError with near names where there is none of that name.
+    """
+    return fit.functions(*(_named(fit, one) if isinstance(one, str) else one for one in what))
+
+
+def _named(fit: Linearisation, name: str) -> Any:
+    try:
+        return fit.functions(name)
+    except DeclarationError:
+        names: list[str] = []
+        for quantity, functions in fit.results.items():
+            if name in functions.labels:
+                k = functions.labels.index(name)
+                return part_of(functions, k)
+            names += [quantity.name, *functions.labels]
+        for unknown in fit.layout.unknowns:
+            names += [unknown.name, *unknown.labels]
+        near = units.near_matches(name, names)
+        hint = f"did you mean '{near[0]}'? " if near else ""
+        short = [q.name for q in fit.results] + [u.name for u in fit.layout.unknowns]
+        raise InputError(f"{fit.name} has no quantity or unknown '{name}'; {hint}There are: {', '.join(short)}"
+                         ) from None
+
+
+def part_of(functions: Functions, k: int) -> Functions:
+    """One of several functions."""
+    return Functions(functions.labels[k : k + 1], functions.units[k : k + 1], functions.values[k : k + 1],
+                     functions.derivatives[k : k + 1])
+
+
+def by_unit(functions: Functions) -> str:
+    """Which functions have which unit, in words."""
+    kinds: dict[str, list[str]] = {}
+    for label, unit in zip(functions.labels, functions.units, strict=True):
+        kinds.setdefault(unit, []).append(label)
+    return "; ".join(f"{unit}: {', '.join(names[:3])}{', ...' if len(names) > 3 else ''}"
+                     for unit, names in kinds.items())
 
 
 @dataclass(frozen=True, init=False)
@@ -59,7 +108,7 @@ class _OfQuantities:
         object.__setattr__(self, "what", what)
 
     def asked(self, fit: Linearisation) -> Functions | None:
-        functions = fit.functions(*self.what)
+        functions = functions_of(fit, *self.what)
         refuse_what_cannot_be_known(fit, functions)
         return functions
 
@@ -75,10 +124,14 @@ class _OneUnit(_OfQuantities):
         assert functions is not None
         strange = sorted(set(functions.units))
         if len(strange) > 1:
-            raise InputError(
-                f"criterion {self.name}: {' and '.join(strange)} do not add ({', '.join(functions.labels[:6])}"    # type: ignore[attr-defined]
-                f"{', ...' if len(functions.labels) > 6 else ''}); name quantities of one unit, or use D or Ds")
+            raise InputError(f"criterion {self.name}: {' and '.join(strange)} do not add; "    # type: ignore[attr-defined]
+                             f"name quantities of one unit ({by_unit(functions)}), or use D or Ds")
         return functions
+
+    def unit(self, fit: Linearisation) -> str:
+        functions = self.asked(fit)
+        one = functions.units[0] if functions is not None else "1"
+        return "" if one == "1" else f"{one}^2"
 
 
 class A(_OneUnit):
@@ -96,11 +149,12 @@ class C(A):
     name = "c"
 
     def asked(self, fit: Linearisation) -> Functions | None:
-        functions = super().asked(fit)
+        functions = _OfQuantities.asked(self, fit)
         assert functions is not None
         if len(functions.labels) != 1:
-            raise InputError(f"criterion c is of one scalar; this is {', '.join(functions.labels)}: name one of them, "
-                             "or use A or Ds for several")
+            raise InputError(f"criterion c is of one scalar; this is {', '.join(functions.labels[:12])}"
+                             f"{', ...' if len(functions.labels) > 12 else ''}: name one of them, or use A or Ds for "
+                             "several")
         return functions
 
 
@@ -118,10 +172,17 @@ class Ds(_OfQuantities):
 
     name = "Ds"
 
+    def unit(self, fit: Linearisation) -> str:
+        functions = self.asked(fit)
+        assert functions is not None
+        kinds = set(functions.units)
+        return f"{functions.units[0]}^2" if len(kinds) == 1 and kinds != {"1"} else ""
+
     def term(self, candidates: Candidates) -> Term:
         matrix = self._matrix(candidates)
         if np.linalg.matrix_rank(matrix) < len(matrix):
-            raise InputError("criterion Ds: the named quantities follow from each other; name independent ones")
+            raise InputError(f"criterion Ds: the {len(matrix)} named quantities follow from each other (only "
+                             f"{np.linalg.matrix_rank(matrix)} are independent); name independent ones")
         return DeterminantOfSet(candidates.rows, candidates.fixed, matrix)
 
 
@@ -185,6 +246,9 @@ class WorstCase:
     def asked(self, fit: Linearisation) -> Functions | None:
         found: Functions | None = self.criterion.asked(fit)
         return found
+
+    def unit(self, fit: Linearisation) -> str:
+        return str(self.criterion.unit(fit))
 
     def term(self, candidates: Candidates) -> Term:
         term: Term = self.criterion.term(candidates)

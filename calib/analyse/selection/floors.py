@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from calib import units
 from calib.analyse.selection.candidates import Candidates
+from calib.analyse.selection.criterion import functions_of
 from calib.analyse.selection.readings import Readings, readings_of
 from calib.blocks import Array
 from calib.errors import InputError
@@ -71,7 +72,7 @@ class Checked:
         self.mdb = np.array([floors.mdb.get(name, np.inf) for name in self.readings.groups])
         names, rows, limits = [], [np.zeros((0, candidates.rank))], []
         for what, limit in floors.influence.items():
-            functions = fit.functions(what)
+            functions = functions_of(fit, what)
             scale = np.array([units.factor(unit) for unit in functions.units])
             names += list(functions.labels)
             rows.append(candidates.functions(functions) * scale[:, None])

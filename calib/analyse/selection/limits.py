@@ -104,7 +104,9 @@ def limits_of(candidates: Candidates, keep: int | None, costs: Mapping[str, floa
         raise InputError("say how many candidates to keep, or give costs and a budget")
     if keep is not None:
         if keep != int(keep) or not 1 <= keep <= n:
-            raise InputError(f"keep = {keep}: there are {n} candidates; ask for 1 to {n}")
+            there = f"there are {n} candidates; ask for 1 to {n}" if n > 1 else \
+                f"there is one candidate, '{candidates.labels[0]}': nothing is left to choose; ask for 1"
+            raise InputError(f"keep = {keep}: {there}")
         rows.append(np.ones(n))
         most.append(float(keep))
         words.append(f"keep {keep}")

@@ -11,17 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.analyse.covariance import covariance
-from calib.analyse.selection.candidates import Candidates, candidates_of, repeated
-from calib.analyse.selection.criterion import D, WorstCase
+from calib.analyse.selection.candidates import Candidates, repeated
+from calib.analyse.selection.criterion import functions_of, part_of
 from calib.analyse.selection.exact import branch_and_bound, enumerated, exhaustive, subsets
 from calib.analyse.selection.floored import refusal, with_floors
 from calib.analyse.selection.floors import Checked, Floors
-from calib.analyse.selection.greedy import greedy
-from calib.analyse.selection.limits import Limits, limits_of
 from calib.analyse.selection.method import BranchAndBound, Conic, Exchange, Exhaustive, Method, Relaxation
-from calib.analyse.selection.objective import Objective
 from calib.analyse.selection.reduced import reduced
 from calib.analyse.selection.relaxation import Relaxed, relax
+from calib.analyse.selection.request import Request, requested, unknowable
 from calib.analyse.selection.starts import better, exchanged, first_choice, rounded
 from calib.blocks import Array
 from calib.errors import InputError, RankDefect
@@ -45,10 +43,11 @@ class Promise:
 class Choice:
     """Chosen observations.
 
-    criterion, method: names; keep: number asked for, or None; chosen: numbers of the candidates, ascending; labels:
-    theirs; rows: {group: row numbers of the data file}; masks: for `Problem.keep`; value, bound: of the criterion and
-    what no choice can beat; gap: 1 - value/bound for a maximum, value/bound - 1 for a minimum; proven: whether it is
-    the optimum; promises: u of each quantity; seconds: of the search; remarks: sentences.
+    criterion, method: names; unit: of the criterion, empty where it has none; keep: number asked for, or None; chosen:
+    numbers of the candidates, ascending; labels: theirs; rows: {group: row numbers of the data file}; masks: for
+    `Problem.keep`; value, bound: of the criterion and what no choice can beat; gap: 1 - value/bound for a maximum,
+    value/bound - 1 for a minimum; proven: whether it is the optimum; promises: u of each quantity; seconds: of the
+    search; remarks: sentences.
     """
 
     criterion: str
@@ -65,6 +64,7 @@ class Choice:
     promises: tuple[Promise, ...]
     seconds: float
     candidates: int
+    unit: str = ""
     remarks: tuple[str, ...] = ()
 
     def u(self, name: str) -> float:
@@ -73,26 +73,6 @@ class Choice:
             if promise.name == name:
                 return promise.u_chosen
         raise InputError(f"nothing was promised for '{name}'; there are {', '.join(p.name for p in self.promises)}")
-
-
-@dataclass(frozen=True)
-class Request:
-    """A request to choose, ready to be searched: candidates (one for each configuration), objective, limits."""
-
-    criterion: Any
-    configurations: tuple[Candidates, ...]
-    objective: Objective
-    limits: Limits
-    checked: Checked | None
-
-    @property
-    def candidates(self) -> Candidates:
-        """The candidates of the first configuration."""
-        return self.configurations[0]
-
-    def value(self, loss: float) -> float:
-        """The criterion itself from its loss."""
-        return float(np.exp(-loss if self.criterion.largest_is_best else loss))
 
 
 def select(fit: Linearisation, keep: int | None = None, criterion: Any = None, *, by: Any = None, always: Any = (),
@@ -118,7 +98,7 @@ def select(fit: Linearisation, keep: int | None = None, criterion: Any = None, *
     chosen, bound, name = _searched(request, method)
     loss = request.objective.loss(chosen) if chosen else np.inf
     if not np.isfinite(loss):
-        raise _unknowable(request, chosen)
+        raise unknowable(request, chosen)
     seconds = perf_counter() - begin
     value, limit = request.value(loss), request.value(min(bound, loss))
     gap = 1.0 - value / limit if request.criterion.largest_is_best else value / limit - 1.0
@@ -127,49 +107,14 @@ def select(fit: Linearisation, keep: int | None = None, criterion: Any = None, *
     if asked is not None:
         promised = _promises(fit, request.candidates, chosen, asked)
         if any(p.u_chosen > LOST * p.u_all for p in promised if p.u_all > 0):
-            raise _unknowable(request, chosen)
-    functions = fit.functions(*report) if report else asked or fit.functions()
+            raise unknowable(request, chosen)
+    functions = functions_of(fit, *report) if report else asked or fit.functions()
     return Choice(
         criterion=request.criterion.name, method=name, keep=request.limits.keep, chosen=tuple(sorted(chosen)),
         labels=tuple(request.candidates.labels[i] for i in sorted(chosen)), rows=request.candidates.rows_of(chosen),
         masks=request.candidates.masks(chosen), value=value, bound=limit, gap=max(gap, 0.0),
         proven=gap < 1e-6, promises=_promises(fit, request.candidates, chosen, functions), seconds=seconds,
-        candidates=len(request.candidates), remarks=tuple(_remarks(request)))
-
-
-def requested(fit: Linearisation, keep: int | None, criterion: Any, *, by: Any = None, always: Any = (),
-              costs: Any = None, budget: float | None = None, at_most: Mapping[Any, int] | None = None,
-              exclusive: Sequence[Sequence[Any]] = (), floors: Floors | None = None) -> Request:
-    """A request ready to be searched; arguments and errors as for `select`."""
-    criterion = D() if criterion is None else criterion
-    fits = (fit, *criterion.others) if isinstance(criterion, WorstCase) else (fit,)
-    configurations = tuple(candidates_of(one, by, always, criterion.asked(one)) for one in fits)
-    first = configurations[0]
-    for other in configurations[1:]:
-        if other.labels != first.labels:
-            raise InputError(f"{criterion.name}: the configurations have different candidates ({len(first)} and "
-                             f"{len(other)}); declare the same groups and rows in each")
-    terms = []
-    for one in configurations:
-        term = criterion.term(one)
-        terms.append(term)
-    limits = limits_of(first, keep, costs, budget, at_most, exclusive)
-    _refuse_too_few(criterion, configurations, limits)
-    checked = None if floors is None else Checked(first, floors)
-    return Request(criterion, configurations, Objective(tuple(terms)), limits, checked)
-
-
-def _refuse_too_few(criterion: Any, configurations: Sequence[Candidates], limits: Limits) -> None:
-    if criterion.asked(configurations[0].fit) is not None or limits.keep is None:
-        return
-    for candidates in configurations:
-        known = int(np.sum(np.linalg.eigvalsh(candidates.fixed) > 1e-9))
-        sees = np.sort(np.minimum(candidates.readings, candidates.rows.shape[1]))[::-1]
-        needed = int(np.searchsorted(np.cumsum(sees), candidates.rank - known) + 1) if candidates.rank > known else 0
-        if limits.keep < needed:
-            raise InputError(
-                f"keep = {limits.keep} candidates give {int(sees[: limits.keep].sum()) + known} readings and priors "
-                f"for {candidates.rank} unknowns; keep at least {needed}, hold unknowns or add priors")
+        candidates=len(request.candidates), unit=request.criterion.unit(fit), remarks=tuple(_remarks(request)))
 
 
 def _searched(request: Request, method: Method) -> tuple[list[int], float, str]:
@@ -246,20 +191,6 @@ def _exhaustive_with_floors(request: Request, checked: Checked) -> tuple[list[in
     return [], np.inf, "exhaustive"
 
 
-def _unknowable(request: Request, chosen: Sequence[int]) -> RankDefect:
-    """The refusal where what is asked for cannot be known from any choice that was found."""
-    candidates, objective = request.candidates, request.objective
-    directions = candidates.unseen(chosen)
-    order = greedy(objective, Limits(np.ones((1, len(candidates))), np.array([float(len(candidates))]), ("all",),
-                                     len(candidates)))
-    enough = next((k for k in range(1, len(order) + 1) if np.isfinite(objective.loss(order[:k]))), None)
-    nearest = f"; keep {enough} or more" if enough and (request.limits.keep or 0) < enough else \
-        "; loosen the limits that keep the candidates apart"
-    words = "; ".join(directions[:3]) or "what is asked for is not seen"
-    return RankDefect(f"no choice of {request.limits.keep or 'these'} of {len(candidates)} candidates was found that "
-                      f"determines everything asked for: {words}{nearest}", directions=directions)
-
-
 def _promises(fit: Linearisation, candidates: Candidates, chosen: Sequence[int], functions: Any
               ) -> tuple[Promise, ...]:
     whole, some = covariance(fit, functions), reduced(fit, candidates.masks(chosen))
@@ -268,10 +199,8 @@ def _promises(fit: Linearisation, candidates: Candidates, chosen: Sequence[int],
     except RankDefect:      # an unknown of a candidate that was not chosen
         u = np.full(len(functions.labels), np.inf)
         for k in range(len(u)):
-            one = type(functions)(functions.labels[k : k + 1], functions.units[k : k + 1], functions.values[k : k + 1],
-                                  functions.derivatives[k : k + 1])
             try:
-                u[k] = covariance(some, one).u[0]
+                u[k] = covariance(some, part_of(functions, k)).u[0]
             except RankDefect:
                 continue
     return tuple(Promise(*each) for each in zip(functions.labels, functions.units, whole.u.tolist(), u.tolist(),
