@@ -10,9 +10,13 @@ import numpy as np
 
 from calib.analyse.score import Candidate, Field, orthonormal
 from calib.blocks import Array
+from calib.effect import Parameter
 from calib.linearisation import Linearisation
+from calib.unknown import Unknown
 
 RAISES = 4.0  # expected rise of the sum of squares up to which another effect is an alias
+FEW = 6  # instances up to which an unknown is a result, where no quantity is asked for
+NOTICED = 0.1  # share of the standard uncertainty of a result from which a hidden effect is listed
 PROPORTIONAL = 1e-9  # distance from it up to which two columns are proportional
 RAISED = 1.0  # rise in these very readings up to which they leave open which of two it is
 
@@ -73,33 +77,45 @@ def aliases(
 
 
 def hidden(fit: Linearisation, field: Field, candidates: Sequence[Candidate]) -> list[Hidden]:
-    """Candidates that no reading shows, with what one of usual size would do to the results."""
-    unseen = [c for c, frame in zip(candidates, field.frames, strict=True) if not frame.shape[1]]
-    if not unseen or not fit.results:
+    """Candidates that would not show if they were of usual size, with what that would do to the results, worst first.
+
+    The results are the quantities of the problem; where it has none, its shared unknowns.
+    """
+    what = () if fit.results else tuple(u for u in fit.layout.unknowns if u.count <= FEW and _is_free(fit, u))
+    if not (what or fit.results):
         return []
-    functions = fit.functions()
+    usual = [np.array([_usual(p) for p in one.effect.parameters]) for one in candidates]
+    unseen = [i for i, signal in enumerate(field.signals) if float(np.sum((signal @ usual[i]) ** 2)) < RAISES]
+    if not unseen:
+        return []
+    functions = fit.functions(*what)
+    u = np.sqrt(np.maximum(np.diag(fit.factor.covariance(fit.free_part(functions.derivatives))), 1e-300))
     derivatives, _ = fit.rows
-    found = []
-    for one in unseen:
-        columns = fit.held_columns(one.columns)
-        if not np.any(columns):
-            continue
-        moved = -fit.factor.solve(np.asarray(derivatives.T @ columns))
-        change = functions.derivatives[:, list(one.columns)] + fit.free_part(functions.derivatives) @ moved
-        usual = np.array(
-            [
-                np.sqrt(p.plausible[0] * p.plausible[1]) if p.plausible[0] > 0 else 0.5 * p.plausible[1]
-                for p in one.effect.parameters
-            ]
-        )
-        added = np.sqrt(np.sum((change * usual) ** 2, axis=1))
-        u = np.sqrt(np.diag(fit.factor.covariance(fit.free_part(functions.derivatives))))
+    columns = [c for i in unseen for c in candidates[i].columns]
+    moved = -fit.factor.solve(np.asarray(derivatives.T @ fit.held_columns(columns)))
+    changes = functions.derivatives[:, columns] + fit.free_part(functions.derivatives) @ moved
+    found, begin = [], 0
+    for i in unseen:
+        one = candidates[i]
+        change = changes[:, begin : begin + len(one.columns)]
+        begin += len(one.columns)
+        added = np.sqrt(np.sum((change * usual[i]) ** 2, axis=1))
         found += [
-            Hidden(one.label, name, float(a), unit)
+            (float(a / own), Hidden(one.label, name, float(a), unit))
             for name, unit, a, own in zip(functions.labels, functions.units, added, u, strict=True)
-            if a > 1e-3 * own
+            if a > NOTICED * own
         ]
-    return found
+    return [one for _, one in sorted(found, key=lambda f: -f[0])]
+
+
+def _is_free(fit: Linearisation, unknown: Unknown) -> bool:
+    return bool(fit.layout.free[fit.layout.span(unknown)].any()) and unknown not in fit.effects.values()
+
+
+def _usual(parameter: Parameter) -> float:
+    """A size that is usual: the middle of what is plausible, on a logarithmic scale where that has a lower end."""
+    low, high = parameter.plausible
+    return float(np.sqrt(low * high)) if low > 0 else 0.5 * high
 
 
 def what_would_tell(one: Candidate, others: Sequence[Candidate], alike: Sequence[bool]) -> str:

@@ -13,7 +13,7 @@ from calib.workflow.discrepancy.noise import NoiseTest, noise_tests, size_test, 
 from calib.workflow.discrepancy.rivals import HEAVY, SCALED, SERIAL, STATED, UNEVEN, Noise, accounts
 from calib.workflow.discrepancy.scene import Scene
 from calib.workflow.discrepancy.search import Finding, Shares, noise_scale, search
-from calib.workflow.discrepancy.structure import Place, Screen, described
+from calib.workflow.discrepancy.structure import MOST, Place, Screen, described
 
 RARE = 6.0  # what a blunder costs beside its choice: readings go wrong less often than noise is misjudged
 WAYS = 3  # in which the noise is looked at: its size, its tails, its evenness and memory
@@ -41,10 +41,11 @@ def best_account(
     none = nothing(nominal)
     beside = _with_structure(scene, finding, screen, level * shares.structure, seed, None) if finding.effects else None
     described_ones = [beside] if beside else []
-    if beside or len(finding.effects) not in (1, 2) or finding.scale != 1.0:
-        # One or two effects that leave nothing but the stated noise need no rival without a name.
-        instead = _with_structure(nominal, none, screen, level * shares.structure, seed, screen)
-        described_ones += [instead] if instead else []
+    # One or two effects that leave nothing but the stated noise have one pattern for a rival: it costs next to nothing.
+    clean = not beside and len(finding.effects) in (1, 2) and finding.scale == 1.0
+    most = 1 if clean else MOST
+    instead = _with_structure(nominal, none, screen, level * shares.structure, seed, screen, most)
+    described_ones += [instead] if instead else []
     if not (finding.effects or finding.blunders or described_ones):
         # Nothing is significant: what the noise is, is for its own tests.
         return Account(none, (), Noise(STATED, 0.0, np.ones(len(scene.residual))), 0.0)
@@ -106,10 +107,10 @@ def _score_through(scene: Scene, finding: Finding, noise: Noise) -> float:
 
 
 def _with_structure(
-    scene: Scene, base: Finding, screen: Screen, level: float, seed: int, first: Screen | None
+    scene: Scene, base: Finding, screen: Screen, level: float, seed: int, first: Screen | None, most: int = MOST
 ) -> Account | None:
     bare: Field = replace(base.left, signals=(), sizes=())
-    found, left, looks = described(bare, screen.shapes, level, seed, first, screen.looks)
+    found, left, looks = described(bare, screen.shapes, level, seed, first, screen.looks, most)
     if not found:
         return None
     noise = _plainest(accounts(left, scene.channels))

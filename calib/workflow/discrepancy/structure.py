@@ -19,6 +19,7 @@ from calib.workflow.discrepancy.readings import Channel
 HARMONICS = (1, 2, 3, 4, 5, 6)
 WAVES = (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)  # waves over the range of a covariate that is no angle
 PLACES = ("position", "travel")  # covariates that are places along a guide
+SETTLING = (0.03, 0.07, 0.15, 0.3)  # of the time, in which something settles
 STEPS = 16  # parts of the time between which a step may be
 DEGREES = 5  # of the polynomials over one covariate
 FEW = 12  # different values up to which a covariate is taken level by level
@@ -131,6 +132,8 @@ def _shapes(values: NDArray, unit: str) -> Iterator[tuple[str, Array]]:
         for share in np.arange(1, STEPS) / STEPS:
             column = (numbers >= np.quantile(numbers, share)).astype(float)
             yield f"step at {share:.2f} of the time", column[:, None]
+        for share in SETTLING:
+            yield f"settling within {share:g} of the time", np.exp(-(scaled + 1) / 2 / share)[:, None]
     yield "pieces", (np.digitize(scaled, np.linspace(-1, 1, 9)[1:-1])[:, None] == np.arange(8)).astype(float)
 
 
@@ -244,14 +247,15 @@ def _sheet(field: Field, shapes: Sequence[Pattern]) -> tuple[_Sheet, list[Patter
     together = np.concatenate([s.columns for s in shapes], axis=1)
     together = together / np.maximum(np.linalg.norm(together, axis=0), 1e-300)
     taken = field.basis[places].T @ together
-    normal = together.T @ together - taken.T @ taken
+    lines, lost = np.ascontiguousarray(together.T), np.ascontiguousarray(taken.T)
     starts = np.cumsum([0, *(s.columns.shape[1] for s in shapes)])
     sizes = np.diff(starts)
     kept: dict[int, Array] = {}
     for size in np.unique(sizes):
         which = np.flatnonzero(sizes == size)
         columns = starts[which][:, None] + np.arange(size)
-        values, vectors = np.linalg.eigh(normal[columns[:, :, None], columns[:, None, :]])
+        own, less = lines[columns], lost[columns]
+        values, vectors = np.linalg.eigh(own @ own.transpose(0, 2, 1) - less @ less.transpose(0, 2, 1))
         for i, value, vector in zip(which, values, vectors, strict=True):
             seen = value > 1e-6
             if seen.any():
@@ -263,16 +267,17 @@ def _sheet(field: Field, shapes: Sequence[Pattern]) -> tuple[_Sheet, list[Patter
 
 def described(
     field: Field, shapes: Sequence[Pattern], level: float, seed: int, first: Screen | None = None,
-    known: float | None = None,
+    known: float | None = None, most: int = MOST,
 ) -> tuple[list[Place], Field, int]:
     """Describe what is left over by patterns, one after another, as long as one is significant.
 
-    first: the screen of this field where it is there already; known: the number of independent looks, if known.
+    first: the screen of this field where it is there already; known: the number of independent looks, if known;
+    most: patterns at most.
     Returns the patterns, the field without them, and how many looks one of them was chosen from.
     """
     found: list[Place] = []
     looks = 1
-    for _ in range(MOST):
+    for _ in range(most):
         # What was taken changes the number of independent looks but little; simulating it is the dear part.
         screen = Screen(field, shapes, seed, known) if first is None else first
         first, known = None, screen.looks
