@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from calib import files, units
-from calib.analyse.selection.planning import Step
+from calib.analyse.selection.planning import Next, Step
 from calib.analyse.selection.select import Choice
 from calib.linearisation import Linearisation
 from calib.report import numbers, plots
@@ -22,6 +22,52 @@ if TYPE_CHECKING:
 SHOWN = 60      # labels in the page; selection.json has all
 
 
+def listed(choice: Choice, most: int = SHOWN) -> str:
+    """The chosen candidates in words: rows of one group as ranges of numbers, others one by one."""
+    single = {f"{group} row {row}" for group, rows in choice.rows.items() for row in rows}
+    if set(choice.labels) <= single:
+        return "; ".join(f"{group} row{'s' if len(set(rows)) > 1 else ''} {_ranges(rows)}"
+                         for group, rows in choice.rows.items())
+    more = f" and {len(choice.labels) - most} more" if len(choice.labels) > most else ""
+    return "; ".join(choice.labels[:most]) + more
+
+
+def _ranges(rows: Any) -> str:
+    numbers_in_order = sorted({int(r) for r in rows})
+    runs: list[list[int]] = []
+    for number in numbers_in_order:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ", ".join(f"{run[0]}" if len(run) == 1 else f"{run[0]}, {run[1]}" if len(run) == 2 else
+                     f"{run[0]}-{run[-1]}" for run in runs)
+
+
+def ranking(problem: str, job: str, what: str, further: Sequence[Next], provenance: Provenance) -> dict[str, Any]:
+    """The content of selection.json where single further measurements were asked for.
+
+    problem, job: names; what: they serve, in words; further: best first; provenance: of the run.
+    """
+    return {"format": 1, "problem": problem, "job": job, "serves": what,
+            "next": [{"candidate": one.label, "value": one.value if np.isfinite(one.value) else None,
+                      "ratio": one.ratio} for one in further],
+            "provenance": provenance.content()}
+
+
+def ranked(what: str, further: Sequence[Next], most: int) -> list[str]:
+    """The first of single further measurements, one line each, best first."""
+    if all(one.ratio >= 1.0 for one in further):
+        return [f"none of {len(further)} candidates changes it: {what}"]
+    lines = [f"best of {len(further)} further measurements: {what}, and its ratio to that without it"]
+    width = max(len(one.label) for one in further[:most])
+    for one in further[:most]:
+        value = numbers.plain(one.value) if np.isfinite(one.value) else "not known"
+        ratio = "only with it" if one.ratio == 0.0 else numbers.plain(one.ratio)
+        lines.append(f"  {one.label:<{width}}  {value:>12}  {ratio:>12}")
+    return lines
+
+
 def content(problem: str, job: str, choice: Choice, provenance: Provenance) -> dict[str, Any]:
     """The content of selection.json; rows as in the file, group after group.
 
@@ -31,8 +77,8 @@ def content(problem: str, job: str, choice: Choice, provenance: Provenance) -> d
         "format": 1, "problem": problem, "job": job, "criterion": choice.criterion, "keep": choice.keep,
         "rows": [int(r) for rows in choice.rows.values() for r in rows],
         "groups": {name: [int(r) for r in rows] for name, rows in choice.rows.items()}, "chosen": list(choice.labels),
-        "candidates": choice.candidates, "value": choice.value, "bound": choice.bound, "gap": choice.gap,
-        "proven": choice.proven, "method": choice.method, "seconds": choice.seconds,
+        "candidates": choice.candidates, "value": choice.value, "unit": choice.unit, "bound": choice.bound,
+        "gap": choice.gap, "proven": choice.proven, "method": choice.method, "seconds": choice.seconds,
         "quantities": [
             {"name": p.name, "unit": p.unit, "u_all": p.u_all / units.factor(p.unit),
              "u_selected": p.u_chosen / units.factor(p.unit) if np.isfinite(p.u_chosen) else None}
@@ -44,8 +90,9 @@ def content(problem: str, job: str, choice: Choice, provenance: Provenance) -> d
 def sentence(choice: Choice) -> str:
     """The choice in one sentence."""
     way = "the optimum, proven" if choice.proven else f"at most {numbers.plain(100 * choice.gap, 3)} % from the optimum"
+    unit = f" {choice.unit}" if choice.unit else ""
     return (f"{len(choice.chosen)} of {choice.candidates} candidates for criterion {choice.criterion}: "
-            f"{numbers.plain(choice.value, 6)}, bound {numbers.plain(choice.bound, 6)}: {way}.")
+            f"{numbers.plain(choice.value, 6)}{unit}, bound {numbers.plain(choice.bound, 6)}{unit}: {way}.")
 
 
 def write(title: str, fit: Linearisation, choice: Choice, steps: Sequence[Step], provenance: Provenance,
@@ -66,10 +113,9 @@ def write(title: str, fit: Linearisation, choice: Choice, steps: Sequence[Step],
              numbers.plain(p.u_chosen / units.factor(p.unit)) if np.isfinite(p.u_chosen) else "not known",
              numbers.plain(p.u_chosen / p.u_all, 3) if np.isfinite(p.u_chosen) and p.u_all else "", p.unit]
             for p in choice.promises]
-    more = f" and {len(choice.labels) - SHOWN} more" if len(choice.labels) > SHOWN else ""
     return files.write_text(path, render(
         "selection.html.j2", title=title, subtitle=f"{fit.name}: which observations to keep, found by {choice.method}",
-        sentence=sentence(choice), chosen=", ".join(choice.labels[:SHOWN]) + more, remarks=choice.remarks,
+        sentence=sentence(choice), chosen=listed(choice), remarks=choice.remarks,
         promises=Grid(["quantity", "u, all", "u, chosen", "ratio", "unit"], rows), drawings=drawings,
         provenance=provenance.lines()))
 
