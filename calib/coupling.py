@@ -88,7 +88,7 @@ class Coupling:
         """The matrix times its transpose, over the others: (S, S)."""
         total = np.zeros((self.others, self.others))
         for _, _, piece in self.dense():
-            flat = piece.reshape(-1, self.others)
+            flat = piece.reshape(piece.shape[0] * piece.shape[1], self.others)
             total += flat.T @ flat
         return total
 
