@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib import Effect, Gaussian, Observations, Parameter, Pose, Problem, Quantity, Unknown, direct, prior, simulate
+from calib import covariance as covariance_of
 from calib.errors import InputError
 from calib.geometry import Transform, rotation_from_rpy
+from calib.scene import Points, Scene, Shape, Sights
 from calib.solve.globally import rotation as alignment
 from calib.units import arcsec, hour, minute, mm, ppm, um
 from instruments import influence, laser_tracker
@@ -179,8 +181,8 @@ def bound(estimate: Estimate, points: ArrayLike) -> Bound:
     (whitening, *further) = group.weighting.whitening
     if further or whitening.rows.shape[1] > 1:
         raise InputError("sightings of one point share its error on the part, for which the relaxation has no place")
-    covariance = np.linalg.inv(whitening.matrix.transpose(0, 2, 1) @ whitening.matrix)
-    return alignment.pose_bound(points, np.asarray(group.readings), covariance, estimate["seen_from_part"].rotation)
+    spread = np.linalg.inv(whitening.matrix.transpose(0, 2, 1) @ whitening.matrix)
+    return alignment.pose_bound(points, np.asarray(group.readings), spread, estimate["seen_from_part"].rotation)
 
 
 # --- jobs and examples -------------------------------------------------------------------------------------------
@@ -230,6 +232,20 @@ def from_job(job: Job) -> Problem:
     common, seen = Common.read(job), job.table("seen")
     return declare(common.points, common.seen, common.covariance, common.u_points, common.names, common.targets,
                    recorded(job, seen), seen.row_numbers)
+
+
+def scene(job: Job, estimate: Estimate) -> Scene:
+    """Points as seen, and those carried over, with their uncertainty; the lines of sight of a tracker."""
+    common = Common.read(job)
+    shapes: list[Shape] = [Points("seen", common.seen, common.names, common.covariance)]
+    if job.instrument("seen").text("kind") == "laser_tracker":
+        origin = np.zeros(3)
+        shapes += [Points("tracker", origin, ["tracker"]), Sights("points", origin, common.seen)]
+    if common.targets:
+        carried = covariance_of(estimate.fit, "target")
+        blocks = carried.matrix.reshape(len(common.targets), 3, len(common.targets), 3)
+        shapes.append(Points("carried over", carried.values, list(common.targets), np.einsum("aiaj->aij", blocks)))
+    return Scene(tuple(shapes))
 
 
 PART = np.array([[x, y, z] for x in (0.0, 0.6, 1.2) for y in (0.0, 0.8) for z in (0.0, 0.5)])
