@@ -1,6 +1,7 @@
 """Coverage of stated 95 % intervals for every shipped problem and instrument: 500 simulated repetitions each.
 
-Run: python benchmarks/coverage.py [repetitions]; writes benchmarks/results/coverage.csv.
+Run: python benchmarks/coverage.py [repetitions [module ...]]; writes benchmarks/results/coverage.csv, where the lines of
+modules that were not asked for stay as they are.
 """
 
 from __future__ import annotations
@@ -31,40 +32,27 @@ def modules_with_examples():
                 yield module
 
 
-def main(repetitions: int) -> None:
-    rows = []
-    for module in modules_with_examples():
-        found = coverage(solve(module.example(1)), range(1, repetitions + 1))
-        rows.append(
-            [
-                module.__name__,
-                len(found.names),
-                repetitions,
-                found.failures,
-                f"{found.covered.mean():.4f}",
-                f"{found.covered.min():.3f}",
-                f"{found.covered.max():.3f}",
-                f"{np.sqrt(np.mean(found.errors**2)):.4f}",
-            ]
-        )
-        print(*rows[-1], flush=True)
-    RESULTS.parent.mkdir(exist_ok=True)
-    with RESULTS.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(
-            [
-                "module",
-                "results",
-                "repetitions",
-                "failures",
-                "covered_mean",
-                "covered_least",
-                "covered_most",
-                "true_spread_over_stated_u",
-            ]
-        )
-        writer.writerows(rows)
+HEADER = ("module", "results", "repetitions", "failures", "covered_mean", "covered_least", "covered_most",
+          "true_spread_over_stated_u")
+
+
+def main(repetitions: int, chosen: list[str]) -> None:
+    lines = {}
+    if chosen and RESULTS.exists():
+        with RESULTS.open(newline="") as file:
+            lines = {line[0]: line for line in list(csv.reader(file))[1:]}
+    known = {module.__name__: module for module in modules_with_examples()}
+    for name in chosen or known:
+        found = coverage(solve(known[name].example(1)), range(1, repetitions + 1))
+        spread = f"{np.sqrt(np.mean(found.errors**2)):.4f}"
+        shares = (f"{found.covered.mean():.4f}", f"{found.covered.min():.3f}", f"{found.covered.max():.3f}")
+        lines[name] = [name, len(found.names), repetitions, found.failures, *shares, spread]
+        print(*lines[name], flush=True)
+        # written after each module: a run that is stopped keeps what it has
+        RESULTS.parent.mkdir(exist_ok=True)
+        with RESULTS.open("w", newline="") as file:
+            csv.writer(file).writerows([HEADER, *(lines[n] for n in known if n in lines)])
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 500)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 500, sys.argv[2:])

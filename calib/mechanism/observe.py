@@ -3,6 +3,7 @@ slots."""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
@@ -12,7 +13,7 @@ from casadi import asin, atan2, fmax, fmin, sqrt, vertcat
 from numpy.typing import ArrayLike
 
 from calib import geometry
-from calib.effect import hands_slots_to
+from calib.effect import hands_slots_to, positional_of, slots_of
 from calib.errors import InputError
 from calib.mechanism.axis import Array
 from calib.observations import Observations
@@ -72,6 +73,28 @@ def measured_point(pose: Model) -> Model:
     def model(world_from_base: Any, positions: Any, point: Any, **slots: Any) -> Any:
         return world_from_base @ (pose(positions, **slots) @ point)
     return _named(model, pose, "measured_point_on")
+
+
+@lru_cache(maxsize=256)
+def seen_by(pose: Model, instrument: Model) -> Model:
+    """Model of a point of a part seen by an instrument that stands still, whatever the instrument reads.
+
+    instrument: model whose first argument is a point in the instrument's frame, such as `theodolite.circles` or
+    `laser_tracker.polar`. Returns `(instrument_from_base, positions, point, *further arguments of the instrument)` with
+    the slots of both.
+    """
+    further = positional_of(instrument)[1:]
+    slots_of_pose = set(slots_of(pose))
+
+    def model(instrument_from_base: Any, positions: Any, point: Any, *more: Any, **slots: Any) -> Any:
+        there = pose(positions, **{k: v for k, v in slots.items() if k in slots_of_pose}) @ point
+        rest = {k: v for k, v in slots.items() if k not in slots_of_pose}
+        return instrument(instrument_from_base @ there, *more, **rest)
+    kind = inspect.Parameter
+    model.__name__ = f"{getattr(instrument, '__name__', 'instrument')}_on_{getattr(pose, '__name__', 'pose')}"
+    model.__signature__ = inspect.Signature(                                              # type: ignore[attr-defined]
+        [kind(n, kind.POSITIONAL_OR_KEYWORD) for n in ("instrument_from_base", "positions", "point", *further)])
+    return hands_slots_to(pose, instrument)(model)
 
 
 @lru_cache(maxsize=256)

@@ -65,7 +65,7 @@ def minimal(fit: Linearisation, prefer: Sequence[Any] = ()) -> Statement:
     size = np.linalg.norm(columns, axis=0)
     largest = _largest(fit)
     for place, column in enumerate(layout.free_columns):
-        if size[place] * largest.get(int(column), np.inf) < UNSEEN:
+        if int(column) in largest and size[place] * largest[int(column)] < UNSEEN:
             size[place] = 0.0
     basis: list[Array] = []
     kept: list[int] = []
