@@ -90,7 +90,8 @@ def unknown_entries(solution: Solution) -> Iterator[dict[str, Any]]:
                     "name": name, "instance": None if name == key else key,
                     # The height of a point is its z, also where the points of a network have nothing else.
                     "part": None if values.shape[1] == 1 and name != key else parts_of(unknown)[part],
-                    "value": values[instance, part] / scale, "u": None if is_held else u[instance, part] / scale,
+                    "value": None if is_held and unknown.label(instance, part) in solution.absent
+                    else values[instance, part] / scale, "u": None if is_held else u[instance, part] / scale,
                     "unit": unit, "held": is_held,
                     **(_with_components(solution, unknown.label(instance, part)) if unknown.kind == "vector" else {}),
                 }

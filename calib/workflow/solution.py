@@ -59,7 +59,8 @@ class Solution:
     components; u_of: u (SI) of every unknown, (count, freedom), not a number where held; including: the results with
     the excluded rows back in; remarks, advice: sentences of the problem module: what no reading shows, what to adjust;
     weak: what the readings hardly tell apart; heldout: gaps on readings that were not used; scene: as the problem
-    declares it or as it follows from its unknowns.
+    declares it or as it follows from its unknowns; absent: labels of scalars that stand for nothing, such as the height
+    of a plane point.
     """
 
     job: Job
@@ -84,6 +85,7 @@ class Solution:
     advice: tuple[str, ...] = ()
     named_by_key: tuple[str, ...] = ()
     scene: Scene = field(default_factory=lambda: Scene(()))
+    absent: frozenset[str] = frozenset()
 
     @property
     def displayed(self) -> list[tuple[str, float | None, float, str]]:
@@ -152,6 +154,7 @@ def solved(job: Job, module: ModuleType, method: Method) -> Solution:
         heldout=tuple(HeldOut(*one) for one in module.heldout(job, estimate)) if hasattr(module, "heldout") else (),
         advice=tuple(module.advice(fit)) if hasattr(module, "advice") else (),
         named_by_key=tuple(getattr(module, "named_by_key", ())),
+        absent=frozenset(module.absent(job)) if hasattr(module, "absent") else frozenset(),
         scene=module.scene(job, estimate) if hasattr(module, "scene") else scene(fit),
     )
 

@@ -8,6 +8,8 @@ are given, are found from the readings.
 
 from __future__ import annotations
 
+import numpy as np
+
 from calib import Problem
 from calib.job import Job
 from problems.network.blunders import advice
@@ -22,18 +24,29 @@ from problems.network.start import positions
 from problems.network.stations import Ranging, Sightings
 from problems.network.survey import Batch, Correlated, Point, Survey
 from problems.network.tables import columns, options, read_tables
+from problems.network.tolerance import tolerable
 
 accepts = ("problems.network", "network", ".gkf")
 named_by_key = ("point",)
 source = "GNU Gama manual; Baarda (1968), reliability; Meissl (1962), free networks"
 
 
+_latest: list[tuple[Job, Survey]] = []     # a network is read once for its problem and for its remarks
+
+
 def surveyed(job: Job) -> Survey:
     """The survey of a .gkf file or of a job with tables, checked, with a position for every point."""
-    if job.path.suffix == ".gkf":
-        return started(checked(read_gkf(job.path)))
-    survey = read_tables(job)
-    return reduced(survey) if job.options.flag("leave_out_weak", False) else started(checked(survey))
+    if not any(of is job for of, _ in _latest):
+        _latest[:] = [(job, _surveyed(job))]
+    return _latest[0][1]
+
+
+def _surveyed(job: Job) -> Survey:
+    rest = job.path.suffix != ".gkf" and job.options.flag("leave_out_weak", False)
+    file = job.path.name if job.path.suffix == ".gkf" else job.options.text("network", "")
+    survey = read_gkf(job.path.parent / file, strict=not rest) if file else read_tables(job)
+    placed = reduced(survey) if rest else started(checked(survey))
+    return tolerable(placed) if file else placed
 
 
 def from_job(job: Job) -> Problem:
@@ -49,6 +62,13 @@ def remarks(job: Job) -> list[str]:
     return list(surveyed(job).remarks)
 
 
+def absent(job: Job) -> set[str]:
+    """Labels of the coordinates that points of the network do not have: no reading depends on them."""
+    survey = surveyed(job)
+    return {f"point[{key}].{part}" for key, point in survey.points.items() for part in survey.parts
+            if not point.role(part) and np.isnan(point.position["xyz".index(part)])}
+
+
 __all__ = [
     "Batch",
     "Correlated",
@@ -56,6 +76,7 @@ __all__ = [
     "Ranging",
     "Sightings",
     "Survey",
+    "absent",
     "advice",
     "checked",
     "columns",
@@ -74,5 +95,6 @@ __all__ = [
     "settle",
     "started",
     "surveyed",
+    "tolerable",
     "with_candidates",
 ]

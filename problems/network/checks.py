@@ -23,11 +23,12 @@ def named(keys: list[str]) -> str:
 
 
 def checked(survey: Survey) -> Survey:
-    """The survey, with remarks about points that nothing reads.
+    """The survey, with remarks about points, and coordinates of points, that nothing reads.
 
     Raises InputError where parts of the network are not joined, points have fewer readings than coordinates, or lengths
     contradict the coordinates by their unit.
     """
+    survey = _without_unread(survey)
     _joined(survey)
     _enough(survey)
     read = survey.read
@@ -38,6 +39,28 @@ def checked(survey: Survey) -> Survey:
             *survey.remarks, f"Point {named(unread)} is to be adjusted and nothing reads it: it has no result. Add "
             "readings to it, or take it out of the list of points."))
     return survey
+
+
+def _without_unread(survey: Survey) -> Survey:
+    """The survey without coordinates to be adjusted that no reading of their point depends on."""
+    in_space = [key for one in survey.sightings for key in one.targets]
+    in_space += [key for one in survey.ranging for key in one.targets]
+    needed: dict[str, set[str]] = {key: set("xyz") for key in in_space}
+    for batch in survey.every_batch:
+        for key in {key for keys in batch.ends for key in keys.tolist()}:
+            needed.setdefault(key, set()).update(batch.model.needs)
+    points, unread = dict(survey.points), {"xy": list[str](), "z": list[str]()}
+    for key, parts in needed.items():
+        point = points[key]
+        if "z" not in parts and point.height in (ADJUSTED, CONSTRAINED) and point.plane:
+            points[key] = replace(point, height="")
+            unread["z"].append(key)
+        elif "x" not in parts and point.plane in (ADJUSTED, CONSTRAINED) and point.height:
+            points[key] = replace(point, plane="")
+            unread["xy"].append(key)
+    remarks = [f"Point {named(keys)} is to be adjusted in {parts} and no reading depends on that: it has no {parts} in "
+               "the result. Add readings that do, or take it out of adj." for parts, keys in unread.items() if keys]
+    return replace(survey, points=points, remarks=(*survey.remarks, *remarks)) if remarks else survey
 
 
 def _readings_of(survey: Survey) -> dict[str, int]:
@@ -143,9 +166,12 @@ def started(survey: Survey) -> Survey:
 
 
 def _gross(survey: Survey) -> set[str]:
-    """Adjusted points of readings that the positions miss by a large part of a radian or of a length."""
+    """Adjusted points where the positions miss half of the readings by a large part of a radian or of a length.
+
+    Where the other readings of a point fit, the one that does not is itself at fault.
+    """
     problem = declare_free(survey)
-    suspects: set[str] = set()
+    missed, count = dict[str, int](), dict[str, int]()
     predicted = predict(problem)
     for batch in survey.batches:
         values = batch.values
@@ -158,9 +184,10 @@ def _gross(survey: Survey) -> set[str]:
         else:
             gross = np.linalg.norm(miss, axis=1) > GROSS * np.linalg.norm(values, axis=1)
         for keys in batch.ends:
-            suspects |= {key for key in keys[gross].tolist()
-                         if {ADJUSTED, CONSTRAINED} & {survey.points[key].plane, survey.points[key].height}}
-    return suspects
+            for key, wrong in zip(keys.tolist(), gross.tolist(), strict=True):
+                count[key], missed[key] = count.get(key, 0) + 1, missed.get(key, 0) + wrong
+    return {key for key, wrong in missed.items() if wrong and 2 * wrong >= count[key]
+            and {ADJUSTED, CONSTRAINED} & {survey.points[key].plane, survey.points[key].height}}
 
 
 def _length_factor(survey: Survey) -> float | None:

@@ -55,16 +55,19 @@ class _Network:
     lines: dict[str, int] = field(default_factory=dict)
     clusters: list[tuple[list[Record], Array | None]] = field(default_factory=list)
     settings: dict[str, int] = field(default_factory=dict)
+    reduced: str = ""
+    tolerance: float | None = None
     row: int = 0
 
     def wrong(self, element: Element, what: str) -> InputError:
         return InputError(f"{self.path}, line {element.line}: <{element.tag}> {what}")
 
 
-def read_gkf(path: str | Path) -> Survey:
+def read_gkf(path: str | Path, strict: bool = True) -> Survey:
     """Read a survey network.
 
-    path: of a .gkf file. Returns the survey; points without coordinates have positions that are not numbers.
+    path: of a .gkf file; strict: whether a reading to a point that does not exist is an error, or takes no part and is
+    remarked. Returns the survey; points without coordinates have positions that are not numbers.
     Raises InputError naming file, line and what to do where the file is no network of this format, defines entities,
     or contradicts itself.
     """
@@ -84,15 +87,20 @@ def read_gkf(path: str | Path) -> Survey:
     a_posteriori = True
     for parameters in network.children_of("parameters"):
         _known(found, parameters, PARAMETERS)
-        for name in ("latitude", "ellipsoid"):
-            if name in parameters.attributes:
-                raise found.wrong(parameters, f"asks for reductions to an ellipsoid ({name}), which are not made here; "
-                                  f"reduce the readings to the plane and leave {name} out")
+        asked = [name for name in ("latitude", "ellipsoid") if name in parameters.attributes]
+        found.reduced = asked[0] if asked else found.reduced
+        if "tol-abs" in parameters.attributes:
+            found.tolerance = _positive(found, parameters, "tol-abs", 0.0) * mm
         found.sigma = _positive(found, parameters, "sigma-apr", found.sigma)
         a_posteriori = parameters.attributes.get("sigma-act", "aposteriori") == "aposteriori"
     for section in network.children_of("points-observations"):
         _section(found, section)
-    records, remarks = _taking_part(found)
+    if found.reduced and any(record.kind == "zenith angle" for records, _ in found.clusters for record in records):
+        # Without zenith angles gama-local takes every sight as level, and level sights are reduced by nothing.
+        raise InputError(f"{path}: asks for reductions of directions and zenith angles to an ellipsoid "
+                         f"({found.reduced}), which are not made here; reduce the readings to the plane and leave "
+                         f"{found.reduced} out")
+    records, remarks = _taking_part(found, strict)
     loose, correlated = batches(records)
     if found.turned:
         remarks.append(
@@ -103,7 +111,8 @@ def read_gkf(path: str | Path) -> Survey:
     description = network.child("description")
     title = "" if description is None else " ".join(description.text.split())
     return Survey(found.points, loose, correlated, axes=axes, clockwise=angles == "left-handed", remarks=tuple(remarks),
-                  a_posteriori=a_posteriori, name=f"network {path.stem}" + (f" ({title[:60]})" if title else ""))
+                  a_posteriori=a_posteriori, tolerance=found.tolerance,
+                  name=f"network {path.stem}" + (f" ({title[:60]})" if title else ""))
 
 
 def _section(found: _Network, section: Element) -> None:
@@ -162,12 +171,13 @@ def _angle(found: _Network, element: Element) -> tuple[float, str]:
     parts = DEGREES.fullmatch(text)
     if parts is None:
         value = _number(found, element, "val")
-        if abs(value) > 400.0:
+        # Directions and azimuths may have been turned by another angle, and then count on beyond a full circle.
+        if abs(value) > (800.0 if element.tag in ("direction", "azimuth") else 400.0):
             raise found.wrong(element, f"val='{text}' gon is more than a full circle; angles are in gon, or in degrees "
                               "written 123-45-56.7")
         return value * gon, "gon"
     sign, whole, minutes, seconds = parts.groups()
-    if int(minutes) >= 60 or float(seconds) >= 60 or int(whole) > 360:
+    if int(minutes) >= 60 or float(seconds) > 60 or int(whole) > 360:    # 60.00" is a rounded minute
         raise found.wrong(element, f"val='{text}' is no angle in degrees, minutes and seconds; correct it")
     size = (int(whole) + int(minutes) / 60 + float(seconds) / 3600) * degree
     return -size if sign == "-" else size, "deg"
@@ -183,7 +193,8 @@ def _key(found: _Network, element: Element, name: str, default: str = "") -> str
 # --- points and readings ----------------------------------------------------------------------------------------------
 
 
-def _point(found: _Network, element: Element) -> str:
+def _point(found: _Network, element: Element, observed: bool = False) -> str:
+    """Note what a point is, and where unless its coordinates are observed; its key."""
     _known(found, element, POINT)
     key = _key(found, element, "id")
     before = found.points.get(key, Point())
@@ -191,6 +202,8 @@ def _point(found: _Network, element: Element) -> str:
                 for part, old in zip("xyz", before.position, strict=True)]
     if math.isnan(position[0]) != math.isnan(position[1]):
         raise found.wrong(element, f"'{key}' has only one of x and y; give both or none")
+    if observed:
+        position = list(before.position)
     if element.attributes.keys() & set("xyz") and any(
         not math.isnan(old) and old != new for old, new in zip(before.position, position, strict=True)
     ):
@@ -251,11 +264,11 @@ def _cluster(found: _Network, cluster: Element, allowed: tuple[str, ...]) -> Non
 
 def _records(found: _Network, element: Element, cluster: Element) -> Iterator[Record]:
     if element.tag == "point":
-        key = _point(found, element)
+        key = _point(found, element, observed=True)
         given = {p: _number(found, element, p) for p in "xyz" if p in element.attributes}
-        if not given:
+        kind = {"xyz": "coordinates", "xy": "plane coordinates", "z": "height"}.get("".join(given), "")
+        if not kind:
             raise found.wrong(element, f"'{key}' in <coordinates> has neither x and y nor z; give what was observed")
-        kind = {"xyz": "coordinates", "xy": "plane coordinates", "z": "height"}["".join(given)]
         yield _record(found, element, kind, (key, "", ""), tuple(given.values()), (None,) * len(given), mm, "m")
         return
     start = cluster.attributes.get("from", "")
@@ -335,7 +348,9 @@ def _banded(found: _Network, element: Element, size: int) -> Array:
     return matrix
 
 
-def _taking_part(found: _Network) -> tuple[list[tuple[list[Record], Array | None]], list[str]]:
+def _taking_part(
+    found: _Network, strict: bool
+) -> tuple[list[tuple[list[Record], Array | None]], list[str]]:
     """The readings between points that have the coordinates they need, and sentences about the others."""
     kept: list[tuple[list[Record], Array | None]] = []
     left_out: dict[tuple[str, str, str], list[int]] = {}
@@ -344,12 +359,12 @@ def _taking_part(found: _Network) -> tuple[list[tuple[list[Record], Array | None
         for record in records:
             bad = ""
             for key in filter(None, record.ends):
-                if key not in found.points:
+                if key not in found.points and strict:
                     near = units.near_matches(key, list(found.points))
                     hint = f"did you mean '{near[0]}'? Else " if near else ""
                     raise InputError(f"{found.path}, line {record.line}: there is no point '{key}'; {hint}add a "
                                      f"<point id='{key}'> with fix or adj")
-                if not found.points[key].has(KINDS[record.kind].needs):
+                if not found.points.get(key, Point()).has(KINDS[record.kind].needs):
                     bad = bad or key
             if bad:
                 left_out.setdefault((bad, record.kind, KINDS[record.kind].needs), []).append(record.row)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -33,18 +34,36 @@ def reduced(survey: Survey) -> Survey:
 
 def without(survey: Survey, keys: set[str]) -> Survey:
     """The survey without some points and all readings of them."""
-    batches = [_kept(batch, ~np.any([np.isin(ends, list(keys)) for ends in batch.ends], axis=0))
-               for batch in survey.batches]
-    clusters = [_members(cluster, keys) for cluster in survey.correlated]
-    sightings = [_rows(one, ~np.isin(np.asarray(one.target).astype(str), list(keys))) for one in survey.sightings]
-    ranging = [_rows(one, ~np.isin(np.asarray(one.target).astype(str), list(keys))) for one in survey.ranging]
-    return replace(
+    left_out = np.array(sorted(keys))
+
+    def stays(*ends: Any) -> np.ndarray:
+        return ~np.any([np.isin(np.asarray(end).astype(str), left_out) for end in ends], axis=0)
+
+    reduced_to = replace(
         survey,
         points={key: point for key, point in survey.points.items() if key not in keys},
+        sightings=[_rows(one, stays(one.target)) for one in survey.sightings],
+        ranging=[_rows(one, stays(one.target)) for one in survey.ranging],
+    )
+    return _reading(reduced_to, lambda batch: stays(*batch.ends))
+
+
+def without_rows(survey: Survey, rows: set[int]) -> Survey:
+    """The survey without the readings in some rows of a file that numbers all its readings."""
+    return _reading(survey, lambda batch: ~np.isin(batch.numbers, list(rows)))
+
+
+def _reading(survey: Survey, stays: Callable[[Batch], np.ndarray]) -> Survey:
+    """The survey with those readings of its batches that stay, and without what is then empty."""
+    batches = [_kept(batch, stays(batch)) for batch in survey.batches]
+    clusters = [_members(cluster, [bool(stays(member)[0]) for member in cluster.members])
+                for cluster in survey.correlated]
+    return replace(
+        survey,
         batches=[batch for batch in batches if len(batch)],
         correlated=[cluster for cluster in clusters if cluster.members],
-        sightings=[one for one in sightings if len(one.target)],
-        ranging=[one for one in ranging if len(one.target)],
+        sightings=[one for one in survey.sightings if len(one.target)],
+        ranging=[one for one in survey.ranging if len(one.target)],
     )
 
 
@@ -60,16 +79,14 @@ def _uncertainty(u: Any, keep: np.ndarray) -> Any:
 
 
 def _kept(batch: Batch, keep: np.ndarray) -> Batch:
-    rows = np.arange(1, len(batch) + 1) if batch.rows is None else batch.rows
     names = ("station", "target", "readings", "back", "orientation", "station_height", "target_height")
     columns = {name: _column(getattr(batch, name), keep) for name in names}
     covariates = {name: (_column(v[0], keep), v[1]) if isinstance(v, tuple) else _column(v, keep)
                   for name, v in batch.covariates.items()}
-    return replace(batch, **columns, u=_uncertainty(batch.u, keep), rows=np.asarray(rows)[keep], covariates=covariates)
+    return replace(batch, **columns, u=_uncertainty(batch.u, keep), rows=batch.numbers[keep], covariates=covariates)
 
 
-def _members(cluster: Correlated, keys: set[str]) -> Correlated:
-    stays = [not any(key in keys for ends in member.ends for key in ends.tolist()) for member in cluster.members]
+def _members(cluster: Correlated, stays: list[bool]) -> Correlated:
     inside = np.repeat(stays, [len(member.model.components) for member in cluster.members])
     return replace(cluster, members=tuple(m for m, s in zip(cluster.members, stays, strict=True) if s),
                    covariance=cluster.covariance[np.ix_(inside, inside)])

@@ -89,6 +89,11 @@ class Batch:
         """Readings (n, dim)."""
         return None if self.readings is None else np.asarray(self.readings, float).reshape(len(self), -1)
 
+    @property
+    def numbers(self) -> NDArray[np.int64]:
+        """Row numbers (n,) in the file."""
+        return np.arange(1, len(self) + 1) if self.rows is None else np.asarray(self.rows, np.int64)
+
     def heights(self, name: str) -> Array:
         """`station_height` or `target_height` (n,) [m]."""
         return np.broadcast_to(np.asarray(getattr(self, name), float), (len(self),))
@@ -111,7 +116,8 @@ class Survey:
     points: {key: Point}; batches; correlated: clusters of mixed readings; sightings, ranging: of stations with six
     degrees of freedom and of instruments that read ranges alone; axes: directions of x and y, as "ne";
     clockwise: whether circles count clockwise; remarks: sentences about what was left out, and why.
-    a_posteriori: whether the file wants its uncertainties multiplied by the root of the variance factor.
+    a_posteriori: whether the file wants its uncertainties multiplied by the root of the variance factor; tolerance:
+    misfit [m] beyond which the file wants readings left out, None where it does not say.
     """
 
     points: Mapping[str, Point]
@@ -123,6 +129,7 @@ class Survey:
     clockwise: bool = True
     remarks: tuple[str, ...] = ()
     a_posteriori: bool = False
+    tolerance: float | None = None
     name: str = "network"
 
     @property

@@ -47,6 +47,7 @@ columns = {
 options = {"axes": "directions of x and y: ne (default), en, sw, ...",
            "circles": "clockwise (default) or counterclockwise",
            "reference_temperature": "from which temperatures count (20 °C if not given)",
+           "network": "a .gkf file beside the job, in place of tables",
            "leave_out_weak": "true to adjust the rest where points lack readings, and say what was left out"}
 
 

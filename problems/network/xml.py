@@ -32,8 +32,8 @@ class Element:
 def read_xml(path: Path) -> Element:
     """The root element of a file.
 
-    Raises InputError where the file cannot be read, is not XML, or has a document type (which could define entities
-    that grow without end or read other files).
+    Raises InputError where the file cannot be read, is not XML, or has a document type with definitions (which could be
+    entities that grow without end or read other files).
     """
     parser = xml.parsers.expat.ParserCreate()
     root: list[Element] = []
@@ -52,10 +52,14 @@ def read_xml(path: Path) -> Element:
         raise InputError(f"{path}, line {parser.CurrentLineNumber}: has a document type or defines entities, which is "
                          "refused; take the DOCTYPE out")
 
+    def declared(name: str, system: str | None, public: str | None, has_definitions: int) -> None:
+        if has_definitions:      # one that only names a DTD is harmless: that file is never read
+            refuse()
+
     parser.StartElementHandler = begin
     parser.EndElementHandler = lambda tag: open_elements.pop()
     parser.CharacterDataHandler = inside
-    parser.StartDoctypeDeclHandler = refuse
+    parser.StartDoctypeDeclHandler = declared
     parser.EntityDeclHandler = refuse
     parser.buffer_text = True
     try:

@@ -1,0 +1,128 @@
+"""Networks in the XML of GNU Gama that are written in unusual ways: each is read as its manual says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import runner
+from test_network_bad_input import SIDES, SQUARE, distances, gkf, job, point, refused, square
+
+from calib import solve
+from problems import network
+
+FROM_A = '<obs from="A">{}<direction to="B" val="0" stdev="5"/><direction to="C" val="50" stdev="5"/></obs>'
+
+
+def adjusted(tmp_path: Path, text: str) -> tuple[np.ndarray, int, list[str]]:
+    """Coordinates, degrees of freedom and remarks of a network."""
+    one = job(tmp_path, text)
+    estimate = solve(network.from_job(one))
+    return np.asarray(estimate["point"]), estimate.dof, network.remarks(one)
+
+
+@pytest.fixture
+def plain(tmp_path):
+    return adjusted(tmp_path, gkf(square(), distances() + FROM_A.format("")))
+
+
+def same(found, wanted):
+    np.testing.assert_allclose(found[0], wanted[0], atol=1e-9)
+    assert found[1] == wanted[1]
+    assert found[2] == wanted[2]
+
+
+def test_a_circle_that_counts_on_beyond_a_full_turn_is_the_same_circle(tmp_path, plain):
+    same(adjusted(tmp_path, gkf(square(), distances() + FROM_A.format("").replace('"50"', '"450"'))), plain)
+
+
+def test_a_document_type_that_only_names_its_definition_is_harmless(tmp_path, plain):
+    text = gkf(square(), distances() + FROM_A.format(""), before='<!DOCTYPE gama-xml SYSTEM "gama-xml.dtd">\n')
+    same(adjusted(tmp_path, text), plain)
+
+
+def test_sixty_seconds_are_a_rounded_minute(tmp_path):
+    found = [adjusted(tmp_path, gkf(square(), distances() + f'<obs><angle from="A" bs="B" fs="C" val="{value}" '
+                                    'stdev="5"/></obs>')) for value in ("44-59-60.00", "45-00-00")]
+    same(*found)
+
+
+def test_observed_coordinates_are_not_the_start_values_of_their_point(tmp_path):
+    observed = '<coordinates><point id="C" x="100.003" y="100.001"/><cov-mat dim="2" band="0">1 1</cov-mat>' \
+               "</coordinates>"
+    estimate, dof, remarks = adjusted(tmp_path, gkf(square(), distances() + observed))
+    assert remarks == []
+    assert dof == 6 + 2 - 4
+    place = dict(zip(SQUARE, estimate, strict=True))["C"]
+    assert 100.0 < place[0] < 100.003
+
+
+def test_a_coordinate_by_itself_is_named_where_it_is_no_observation(tmp_path):
+    observed = '<coordinates><point id="C" x="100.003"/><cov-mat dim="1" band="0">1</cov-mat></coordinates>'
+    assert "has only one of x and y" in refused(tmp_path, gkf(square(), distances() + observed.replace("C", "Q")))
+    assert "has neither x and y nor z" in refused(tmp_path, gkf(square(), distances() + observed))
+
+
+def test_reductions_are_refused_only_where_they_would_change_a_reading(tmp_path, plain):
+    text = gkf(square(), distances() + FROM_A.format("")).replace("<parameters ", '<parameters latitude="50" ')
+    same(adjusted(tmp_path, text), plain)
+    tall = square().replace('"xy"', '"xyz"').replace("/>", ' z="1"/>')
+    sight = '<obs from="A"><z-angle to="C" val="100" stdev="9"/><z-angle to="D" val="100" stdev="9"/></obs>'
+    with_height = gkf(tall, distances() + sight)
+    assert "reductions" in refused(tmp_path, with_height.replace("<parameters ", '<parameters latitude="50" '))
+
+
+def test_a_height_that_no_reading_depends_on_is_taken_out_and_named(tmp_path, capsys):
+    up = '<height-differences><dh from="A" to="C" val="1" stdev="1"/></height-differences>'
+    points = square().replace('id="A" x="0" y="0" fix="xy"', 'id="A" x="0" y="0" z="0" fix="xyz"')
+    points = points.replace('id="C" x="100" y="100" adj="xy"', 'id="C" x="100" y="100" adj="xyz"')
+    points = points.replace('id="D" x="0" y="100" adj="xy"', 'id="D" x="0" y="100" adj="xyz"')
+    one = job(tmp_path, gkf(points, distances() + up))
+    assert "Point 'D' is to be adjusted in z and no reading depends on that" in network.remarks(one)[0]
+    answer = runner(capsys)("solve", one.path, "--out", tmp_path / "out")
+    assert answer.status == 0
+    entries = json.loads((tmp_path / "out" / "result.json").read_text())["unknowns"]
+    heights = {entry["name"]: entry for entry in entries if entry["part"] == "z"}
+    assert heights["C"]["value"] == pytest.approx(1.0)
+    assert heights["D"]["value"] is None
+    assert heights["B"]["value"] is None
+    assert heights["A"]["value"] == 0.0
+
+
+def blundered(size: float, parameters: str = "") -> str:
+    centre = [(key, "E", 70.7107) for key in "ABCD"]
+    rows = [(a, b, value + (size if (a, b) == ("A", "C") else 0.0)) for a, b, value in (*SIDES, *centre)]
+    text = gkf(square() + point("E", place=(50, 50)), distances(rows))
+    return text.replace("<parameters ", f"<parameters {parameters} ")
+
+
+@pytest.mark.parametrize(("size", "parameters", "left_out"), [
+    (0.5, 'tol-abs="300"', True), (0.2, 'tol-abs="300"', False), (1.0, "", False), (80.0, "", True)])
+def test_readings_beyond_the_tolerance_of_the_file_or_beyond_all_sense_are_left_out_by_name(
+    tmp_path, size, parameters, left_out
+):
+    estimate, dof, remarks = adjusted(tmp_path, blundered(size, parameters))
+    assert dof == 10 - 6 - left_out
+    if left_out:
+        assert "Left out: row 5 (distance A to C) is wrong by about" in remarks[0]
+        assert float(remarks[0].split("about ")[1].split(" m")[0]) == pytest.approx(size, abs=1e-3)
+        assert np.abs(estimate - [*SQUARE.values(), (50, 50)]).max() < 1e-3
+    else:
+        assert remarks == []
+
+
+def test_a_job_may_take_a_network_file_and_leave_out_what_cannot_be_used(tmp_path, capsys):
+    rows = (*SIDES, ("A", "Z", 7.0), ("A", "E", 70.7))
+    (tmp_path / "survey.gkf").write_text(gkf(square() + point("E", place=(50, 50)), distances(rows)))
+    toml = tmp_path / "job.toml"
+    toml.write_text('problem = "problems.network"\n[data]\n[options]\nnetwork = "survey.gkf"\n')
+    calib = runner(capsys)
+    assert "there is no point 'Z'" in calib("solve", toml).error
+    toml.write_text(toml.read_text() + "leave_out_weak = true\n")
+    answer = calib("solve", toml, "--out", tmp_path / "out")
+    assert answer.status == 0
+    assert "point 'Z'" in answer.out
+    assert "point 'E'" in answer.out
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["dof"] == 2
