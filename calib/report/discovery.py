@@ -120,13 +120,14 @@ def _before_and_after(one: Picture) -> Figure:
     for ax, residual, title in zip(axes, (one.before, one.after), ("before", "after"), strict=True):
         plots.style(ax)
         ax.axhspan(-1.96, 1.96, color=plots.FAINT, alpha=0.25, linewidth=0)
+        step = max(1, -(-len(one.x) // plots.DRAWN))
         for number, key in enumerate(dict.fromkeys(one.keys)):
-            chosen = one.keys == key
+            chosen = np.flatnonzero(one.keys == key)[::step]
             ax.scatter(one.x[chosen], residual[chosen], s=14, linewidths=0, alpha=0.85,
                        color=plots.SERIES[number % len(plots.SERIES)],
-                       label=f"{one.key_label.replace('_', ' ')} {key}")
+                       label=plots.worded(f"{one.key_label.replace('_', ' ')} {key}"))
         ax.set_title(title, loc="left")
-        ax.set_xlabel(one.label)
+        ax.set_xlabel(plots.worded(one.label))
         levels = np.unique(one.x)
         if len(levels) <= FEW:
             ax.set_xticks(levels)
@@ -146,12 +147,21 @@ def _ranking(found: Explanation) -> Drawing | None:
     if not shown:
         return None
     named = {f"{e.name} ({e.channel})" for e in found.effects}
-    figure, axes = plots.canvas(0.8 + 0.24 * len(shown), fitted=True)
+    figure, axes = plots.canvas(0.8 + 0.24 * len(shown))
+    labels = [plots.worded(f"{r.label}, {r.dof} parameter{'s' if r.dof > 1 else ''}") for r in shown]
+    # Margins from the longest label: a fitted canvas lays everything out twice, which is most of the page's time.
+    figure.subplots_adjust(left=min(0.6, (0.25 + 0.077 * max(map(len, labels))) / plots.WIDTH),
+                           right=1 - 0.25 / plots.WIDTH)
     colours = [plots.WARNING if r.label in named else plots.ACCENT for r in shown]
-    axes.barh(range(len(shown)), [max(r.drop, 1e-2) for r in shown], color=colours, height=0.62)
-    axes.set_yticks(range(len(shown)), [f"{r.label}, {r.dof} parameter(s)" for r in shown])
+    drops = [max(r.drop, 1e-2) for r in shown]
+    axes.barh(range(len(shown)), drops, color=colours, height=0.62)
+    axes.set_yticks(range(len(shown)), labels)
     axes.invert_yaxis()
     axes.set_xscale("log")
+    low, high = int(np.floor(np.log10(min(drops)))), int(np.ceil(np.log10(max(drops)) + 1e-9))
+    axes.set_xlim(10.0**low, 10.0**max(high, low + 1))
+    axes.set_xticks([10.0**k for k in range(low, max(high, low + 1) + 1)], minor=False)
+    axes.minorticks_off()
     axes.set_xlabel("drop of v′Pv that this candidate alone would give")
     unseen = sum(1 for r in found.ranking if not r.dof)
     caption = "Ranking of the candidates; what was named is marked."
