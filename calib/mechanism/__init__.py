@@ -15,12 +15,18 @@ from calib.mechanism.drive import (
     thermal_scale,
     zero_offset,
 )
-from calib.mechanism.errors import error_motion, error_motions, location_error, location_errors, mounting_errors
+from calib.mechanism.errors import (
+    error_motion,
+    error_motions,
+    location_error,
+    location_errors,
+    mounting_errors,
+    periodic_error_motion,
+    polynomial_error_motion,
+)
 
 __all__ = [
     "Axis", "Frame", "Linear", "Load", "Mechanism", "Rotary", "backlash", "bending", "encoder_harmonic", "error_motion",
-    "error_motions",
-    "location_error", "location_errors", "mounting_errors", "observe", "sag", "sag_by_load", "scale", "thermal_growth",
-    "thermal_scale",
-    "zero_offset",
+    "error_motions", "location_error", "location_errors", "mounting_errors", "observe", "periodic_error_motion",
+    "polynomial_error_motion", "sag", "sag_by_load", "scale", "thermal_growth", "thermal_scale", "zero_offset",
 ]

@@ -10,7 +10,7 @@ import casadi as ca
 
 from calib.effect import Effect, Parameter
 from calib.mechanism.axis import COMPONENTS, Axis
-from calib.mechanism.basis import Basis, error_motion_basis
+from calib.mechanism.basis import Basis, error_motion_basis, periodic_basis, polynomial_basis
 from calib.mechanism.chain import Mechanism
 from calib.units import mm, um, urad
 
@@ -85,11 +85,33 @@ def error_motion(axis: Axis, component: str, orders: Sequence[int] | None = None
     Returns the effect with a parameter for each order: `p2`, `p3` ... or `c2`, `s2` ...
     """
     place = COMPONENTS.index(component)
-    basis = error_motion_basis(axis, place, orders)
+    return _motion(axis, place, error_motion_basis(axis, place, orders), f"E{component}{axis.name}")
+
+
+def periodic_error_motion(axis: Axis, component: str, period: float, orders: Sequence[int] = (1,)) -> Effect:
+    """An error motion of a linear axis that repeats itself, such as with the pitch of its screw or scale.
+
+    axis, component: as of `error_motion`; period: [m]; orders: harmonics of it. Named `E<component><axis>_periodic`, so
+    that the slow error motion may stand beside it; parameters `c1`, `s1` ...
+    """
+    place = COMPONENTS.index(component)
+    return _motion(axis, place, periodic_basis(axis, place, period, orders), f"E{component}{axis.name}_periodic")
+
+
+def polynomial_error_motion(axis: Axis, component: str, orders: Sequence[int] = (3, 4)) -> Effect:
+    """An error motion of a rotary axis that turns within limits, as polynomials over them in place of harmonics.
+
+    Over a part of a turn harmonics are hardly told from each other; orders: see `polynomial_basis`. Named as by
+    `error_motion`, parameters `p3`, `p4` ...
+    """
+    place = COMPONENTS.index(component)
+    return _motion(axis, place, polynomial_basis(axis, place, orders), f"E{component}{axis.name}")
+
+
+def _motion(axis: Axis, place: int, basis: Basis, name: str) -> Effect:
     unit = "um" if place < 3 else "urad"
-    plausible = (0.1e-6, 1e-3)
-    return Effect(f"E{component}{axis.name}", f"{axis.name}_motion", _series(place, basis),
-                  tuple(Parameter(name, unit, plausible) for name in basis.names), channel=axis.name,
+    return Effect(name, f"{axis.name}_motion", _series(place, basis),
+                  tuple(Parameter(n, unit, (0.1e-6, 1e-3)) for n in basis.names), channel=axis.name,
                   source=MOTION_SOURCE)
 
 
