@@ -20,6 +20,7 @@ from scipy.optimize import minimize
 
 import calib
 from calib.job import Job
+from calib.mechanism.clusters import alike_postures
 from calib.mechanism.sensitivity import place_by_positions
 from calib.units import arcsec, mm, mrad
 from problems import serial_arm
@@ -113,17 +114,6 @@ def likeliest(setup: serial_arm.Setup, families: tuple[str, ...]) -> tuple[dict[
     return sizes, -float(found.fun)
 
 
-def clusters(positions: np.ndarray, count: int, seed: int) -> np.ndarray:
-    """Cluster (n,) of each posture (n, axes) by k-means of the sines and cosines of its joints."""
-    places = np.concatenate([np.cos(positions), np.sin(positions)], axis=1)
-    centres = places[np.random.default_rng(seed).choice(len(places), count, replace=False)]
-    for _ in range(50):
-        found = np.argmin(((places[:, None] - centres) ** 2).sum(axis=2), axis=1)
-        centres = np.array([places[found == k].mean(axis=0) if np.any(found == k) else centres[k]
-                            for k in range(count)])
-    return found
-
-
 def left_out_error(setup: serial_arm.Setup, sizes: Mapping[str, float], seeds: int = 2) -> float:
     """Mean distance [m] of balls of left-out clusters from the sockets found with the others."""
     (name, seats), = setup.used.items()
@@ -131,7 +121,7 @@ def left_out_error(setup: serial_arm.Setup, sizes: Mapping[str, float], seeds: i
     socket = np.repeat(np.arange(len(seats)), [len(seat) for seat in seats])
     missed: list[float] = []
     for seed in range(seeds):
-        cluster = clusters(positions, 5, seed)
+        cluster = alike_postures(positions, serial_arm.BLOCKS, seed)
         for k in np.unique(cluster):
             kept = [positions[(socket == i) & (cluster != k)] for i in range(len(seats))]
             left = [positions[(socket == i) & (cluster == k)] for i in range(len(seats))]

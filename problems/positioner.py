@@ -10,7 +10,7 @@ Source: ISO 230-1:2012 (location errors); data of ROS-Industrial, industrial_cal
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -63,6 +63,7 @@ BLOCKS = 5
 options = {
     "measurements": "YAML of poses and joint values, beside the job, under --data or $CALIB_REFERENCE_DATA",
     "u_position, u_orientation": "standard uncertainty of a measured place and turn, each component",
+    "errors": "\"free\" (if not given), or \"held\": the axes as designed, each error a candidate for discover",
     "free": "names of further effects to estimate, such as [\"scale_A\", \"ECC\"]",
 }
 columns = {"poses": {"A, C": "positions of the axes", "x, y, z": "place of the target",
@@ -146,7 +147,10 @@ def from_job(job: Job) -> Problem:
     positions, places, rotations, rows = _read(job)
     u_position = job.options.quantity("u_position", "length")
     u_orientation = job.options.quantity("u_orientation", "angle")
-    return declare(positions, places, rotations, u_position, u_orientation, job.options.texts("free", ()), rows)
+    problem = declare(positions, places, rotations, u_position, u_orientation, job.options.texts("free", ()), rows)
+    if job.options.text("errors", "free", ("free", "held")) == "free":
+        return problem
+    return problem.hold(*(a.unknown for a in problem.attached))
 
 
 def _read(job: Job) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -175,6 +179,12 @@ def blocks_of(positions: ArrayLike) -> np.ndarray:
     levels)."""
     levels = [np.unique(np.round(column, 2), return_inverse=True)[1] for column in np.asarray(positions).T]
     return (levels[0] // 3 * 4 + levels[1] // 4) % BLOCKS
+
+
+def blocks(problem: Problem) -> Mapping[str, np.ndarray]:
+    """Poses that are neighbours, which are left out together: {group: (n,) block}."""
+    pose = next(o for o in problem.observations if o.group == "pose")
+    return {"pose": blocks_of(np.stack([pose.covariates[name] for name in "AC"], axis=1))}
 
 
 def heldout(job: Job, estimate: Any) -> list[tuple[str, float, float, str]]:

@@ -25,6 +25,7 @@ from calib.errors import InputError
 from calib.job import Job
 from calib.linearisation import Functions
 from calib.mechanism import urdf
+from calib.mechanism.clusters import alike_postures
 from calib.mechanism.inputs import checked_positions
 from calib.mechanism.read import data_path, joint_positions
 from calib.mechanism.resolved import quantity
@@ -53,6 +54,7 @@ __all__ = ["Arm", "Setup", "Tolerances", "arm_from_urdf", "declare", "distance_e
            "example_arm", "example_job", "example_postures", "example_urdf", "from_job", "heldout", "reaching", "setup",
            "simulated"]
 accepts = ("problems.serial_arm",)
+BLOCKS = 5
 options = {
     "urdf, tip, base": "the description of the arm, the link of the ball, the link of the base (the root if not given)",
     "placements": "tables with name, files (one for each socket, joint positions without a header) and heldout = true",
@@ -125,6 +127,13 @@ def from_job(job: Job) -> Problem:
     return problem.hold(*(a.unknown for a in problem.attached))
 
 
+def blocks(problem: Problem) -> Mapping[str, np.ndarray]:
+    """Postures that are alike, which are left out together: {group: (n,) block}."""
+    group = next(o for o in problem.observations if o.group == "seat")
+    axes = [name for name in group.covariates if name != "socket"]
+    return {"seat": alike_postures(np.stack([group.covariates[name] for name in axes], axis=1), BLOCKS, 0)}
+
+
 # --- held-out ---------------------------------------------------------------------------------------------------------
 
 
@@ -152,7 +161,7 @@ def heldout(job: Job, estimate: Estimate) -> list[tuple[str, float, float, str]]
     calibration after. Where there are two placements or more, each is also predicted from all the others.
     """
     read = setup(job)
-    rows = []
+    rows: list[tuple[str, float, float, str]] = []
     everything = {**read.used, **read.heldout}
     for name in everything:
         role = f"{name}, not used" if name in read.heldout else f"{name}, used"

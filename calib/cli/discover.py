@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from calib import catalogue, files
-from calib.cli.output import DONE, Output, job_argument, output_options, problem_file_option, typed
+from calib.cli.output import DONE, Output, job_options, output_options, typed
 from calib.job import Job
+from calib.problem import Problem
 from calib.report import numbers
 from calib.workflow.solution import declared
 
@@ -18,12 +20,16 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@job_argument
+@job_options
 @click.option("--level", type=click.FloatRange(1e-6, 0.2), default=0.01, show_default=True,
               help="Probability of a false alarm where nothing is missing.")
-@problem_file_option
+@click.option("--grow", "growing", is_flag=True,
+              help="First add effects as long as blocks of rows left out are predicted better: for a real machine, "
+                   "from its nominal state.")
 @output_options
-def discover(job: Path, level: float, problem_file: Path | None, output: Output) -> int:
+def discover(
+    job: Path, data_folder: Path | None, problem_file: Path | None, level: float, growing: bool, output: Output
+) -> int:
     """Find the physical effect that JOB (a .toml file or a case folder) lacks, or say that none is missing.
 
     With --out: answer.json and report.html.
@@ -33,14 +39,19 @@ def discover(job: Path, level: float, problem_file: Path | None, output: Output)
     from calib.workflow.discrepancy.shown import Shown
     from calib.workflow.discrepancy.split import held_out_rows
 
-    read = Job.read(job)
-    problem = declared(read, catalogue.module(read.problem, problem_file))
+    read = Job.read(job, data_folder)
+    module = catalogue.module(read.problem, problem_file)
+    problem = declared(read, module)
+    remarks: tuple[str, ...] = ()
+    more: dict[str, Any] = {}
+    if growing:
+        problem, remarks, more = _grown(read, module, problem, output)
     check, remark = held_out_rows(read, problem)
     with output.progress(f"explaining {job.name}", 1) as step:
-        found = explain(problem, level, check, remarks=(remark,) if remark else ())
+        found = explain(problem, level, check, remarks=(*remarks, *((remark,) if remark else ())))
         step()
     shown = Shown(found, level)
-    content = answer(_name(read), found, shown)
+    content = {**answer(_name(read), found, shown), **more}
     output.result(content)
     say(output, found)
     if output.folder is not None:
@@ -53,6 +64,29 @@ def discover(job: Path, level: float, problem_file: Path | None, output: Output)
             discovery.write(_name(read), shown, origin, output.path("report.html")),
         )
     return DONE
+
+
+def _grown(
+    job: Job, module: ModuleType, problem: Problem, output: Output
+) -> tuple[Problem, tuple[str, ...], dict[str, Any]]:
+    """The grown problem, what was added and what it brought as sentences and as content of the answer."""
+    from calib.analyse.covariance import covariance
+    from calib.workflow.growth import blocks_of, grow
+
+    with output.progress(f"adding effects to {job.path.name}", 60) as step:
+        growth = grow(problem, blocks_of(problem, module), progress=step)
+    gaps = [("rms of residual/u on blocks left out", growth.before, growth.after, "1")]
+    if hasattr(module, "heldout"):
+        gaps += module.heldout(job, growth.estimate)
+    heldout = [{"quantity": name, "before": before, "after": after, "unit": unit} for name, before, after, unit in gaps]
+    words = [f"Held out, {name}: {numbers.plain(before)} before, {numbers.plain(after)} after"
+             f"{'' if unit == '1' else f' [{unit}]'}." for name, before, after, unit in gaps]
+    fit = growth.estimate.fit
+    effects = [label for one in growth.steps for label in one.effects]
+    found = covariance(fit, *map(problem.parameters, effects)).displayed if effects else ()
+    values = [{"name": name, "value": value, "u": u, "unit": unit} for name, value, u, unit in found]
+    added = {"steps": files.plain(growth.steps), "values": values}
+    return growth.problem, (growth.sentence, *words), {"added": added, "heldout": heldout}
 
 
 def _name(job: Job) -> str:
