@@ -126,3 +126,22 @@ def test_a_job_may_take_a_network_file_and_leave_out_what_cannot_be_used(tmp_pat
     assert "point 'Z'" in answer.out
     assert "point 'E'" in answer.out
     assert json.loads((tmp_path / "out" / "result.json").read_text())["dof"] == 2
+
+
+def test_every_point_has_its_ellipse_in_a_table_of_its_own(tmp_path, capsys):
+    # A point between two others in line: along the line both distances control it, across it nothing but the circle,
+    # 5 cc seen over 50 m from A, whose orientation hangs on B alone, 100 m away.
+    points = point("A", 'fix="xy"', (0, 0)) + point("B", 'fix="xy"', (100, 0)) + point("E", 'adj="xy"', (50, 0))
+    sights = '<obs from="A"><direction to="B" val="0" stdev="5"/><direction to="E" val="0" stdev="5"/></obs>'
+    one = job(tmp_path, gkf(points, distances((("A", "E", 50.0), ("B", "E", 50.001))) + sights))
+    assert runner(capsys)("solve", one.path, "--out", tmp_path / "out").status == 0
+    line = json.loads((tmp_path / "out" / "result.json").read_text())["tables"]["points"][2]
+    cc = np.pi / 2e6
+    assert line["ellipse_a_mm"] == pytest.approx(1 / np.sqrt(2), rel=1e-6)
+    assert line["ellipse_b_mm"] == pytest.approx(5e3 * cc * 50 * np.sqrt(2), rel=1e-4)
+    assert line["ellipse_bearing_gon"] % 200 == pytest.approx(0.0, abs=1e-6)
+    assert line["ellipse95_a_mm"] == pytest.approx(np.sqrt(5.991465) * line["ellipse_a_mm"], rel=1e-6)
+    assert line["u_aposteriori_x_mm"] == pytest.approx(line["u_x_mm"] / np.sqrt(2), rel=1e-4)  # v'Pv = 0.5, dof = 1
+    written = (tmp_path / "out" / "points.csv").read_text().splitlines()
+    assert written[0].startswith("point,x_m,y_m,u_x_mm")
+    assert len(written) == 4

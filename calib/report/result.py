@@ -49,6 +49,7 @@ def content(solution: Solution, provenance: Provenance) -> dict[str, Any]:
         "heldout": files.plain(solution.heldout),
         "remarks": [*solution.remarks, *solution.weak],
         "advice": list(solution.advice),
+        "tables": solution.tables,
         "certificate_data": dict(_dated(solution)),
         "provenance": provenance.content(),
     }

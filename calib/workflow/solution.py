@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any
@@ -60,7 +60,7 @@ class Solution:
     the excluded rows back in; remarks, advice: sentences of the problem module: what no reading shows, what to adjust;
     weak: what the readings hardly tell apart; heldout: gaps on readings that were not used; scene: as the problem
     declares it or as it follows from its unknowns; absent: labels of scalars that stand for nothing, such as the height
-    of a plane point.
+    of a plane point; tables: of the problem module, {name: lines}, each line {column with its unit: value}.
     """
 
     job: Job
@@ -86,6 +86,7 @@ class Solution:
     named_by_key: tuple[str, ...] = ()
     scene: Scene = field(default_factory=lambda: Scene(()))
     absent: frozenset[str] = frozenset()
+    tables: Mapping[str, list[dict[str, Any]]] = field(default_factory=dict)
 
     @property
     def displayed(self) -> list[tuple[str, float | None, float, str]]:
@@ -155,6 +156,7 @@ def solved(job: Job, module: ModuleType, method: Method) -> Solution:
         advice=tuple(module.advice(fit)) if hasattr(module, "advice") else (),
         named_by_key=tuple(getattr(module, "named_by_key", ())),
         absent=frozenset(module.absent(job)) if hasattr(module, "absent") else frozenset(),
+        tables=module.result_tables(fit) if hasattr(module, "result_tables") else {},
         scene=module.scene(job, estimate) if hasattr(module, "scene") else scene(fit),
     )
 

@@ -17,6 +17,7 @@ from problems.network.checks import checked, started
 from problems.network.declare import declare, settle
 from problems.network.effects import effects, with_candidates
 from problems.network.example import example, example_job
+from problems.network.figures import result_tables
 from problems.network.gkf import read_gkf
 from problems.network.reduction import reduced
 from problems.network.scene import scene
@@ -91,6 +92,7 @@ __all__ = [
     "read_tables",
     "reduced",
     "remarks",
+    "result_tables",
     "scene",
     "settle",
     "started",

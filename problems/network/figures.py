@@ -1,0 +1,59 @@
+"""Points of an adjusted network as a table: coordinates, uncertainties before and after scaling, ellipses, ellipsoids.
+
+Source: Ghilani, Adjustment Computations, 5th edition (2010), chapter 19; JCGM 102:2011, 7.7, for the factors of 95 %.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from calib import Linearisation, covariance
+from calib.units import gon, mm
+
+MOST = 2000                              # points whose ellipses are computed
+PLANE_95, SPACE_95 = 2.4477468, 2.7954835    # roots of the 95 % quantiles of chi-squared with 2 and 3 dof
+
+
+def result_tables(fit: Linearisation) -> dict[str, list[dict[str, Any]]]:
+    """One line a point.
+
+    fit: of a network. Coordinates in m; u as stated, and u_aposteriori, multiplied by the root of the variance factor,
+    in mm; semi-axes of the standard ellipse (k = 1) and of the ellipse that holds the point with 95 %, and the bearing
+    of the longer one from the axis x towards y; in space the semi-axes of the standard ellipsoid and of that of 95 %.
+    """
+    point = next(unknown for unknown in fit.layout.unknowns if unknown.name == "point")
+    free = fit.layout.free[fit.layout.span(point)].reshape(point.count, point.freedom)
+    values = np.reshape(fit.values[point], (point.count, point.freedom))
+    factor = float(np.sqrt(fit.objective / fit.dof)) if fit.dof > 0 else float("nan")
+    lines = []
+    for i in range(min(point.count, MOST)):
+        line: dict[str, Any] = {"point": point.keys[i]}
+        line |= {f"{part}_m": float(value) for part, value in zip(point.parts, values[i])}
+        if free[i].any():
+            matrix = covariance(fit, point[i]).matrix / mm**2
+            u = np.sqrt(np.diag(matrix))
+            line |= {f"u_{part}_mm": float(one) for part, one, there in zip(point.parts, u, free[i]) if there}
+            line |= {f"u_aposteriori_{part}_mm": float(factor * one)
+                     for part, one, there in zip(point.parts, u, free[i]) if there}
+            line |= _figures(matrix, "".join(part for part, there in zip(point.parts, free[i]) if there), point.parts)
+        lines.append(line)
+    columns = list(dict.fromkeys(name for line in lines for name in line))
+    return {"points": [{name: line.get(name) for name in columns} for line in lines]}
+
+
+def _figures(matrix: np.ndarray, free: str, parts: tuple[str, ...]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    if "x" in free and "y" in free:
+        plan = [parts.index("x"), parts.index("y")]
+        lengths, axes = np.linalg.eigh(matrix[np.ix_(plan, plan)])
+        semi = np.sqrt(np.maximum(lengths, 0.0))
+        bearing = float(np.arctan2(axes[1, 1], axes[0, 1]) % np.pi) / gon
+        found |= {"ellipse_a_mm": semi[1], "ellipse_b_mm": semi[0], "ellipse_bearing_gon": bearing,
+                  "ellipse95_a_mm": PLANE_95 * semi[1], "ellipse95_b_mm": PLANE_95 * semi[0]}
+    if free == "xyz":
+        semi = np.sqrt(np.maximum(np.linalg.eigvalsh(matrix), 0.0))[::-1]
+        found |= {f"ellipsoid_{name}_mm": one for name, one in zip("abc", semi)}
+        found |= {f"ellipsoid95_{name}_mm": SPACE_95 * one for name, one in zip("abc", semi)}
+    return {name: float(value) for name, value in found.items()}
