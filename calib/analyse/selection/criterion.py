@@ -69,11 +69,14 @@ def _named(fit: Linearisation, name: str) -> Any:
     except DeclarationError:
         names: list[str] = []
         for quantity, functions in fit.results.items():
-            if name in functions.labels:
-                k = functions.labels.index(name)
-                return part_of(functions, k)
+            mine = [k for k, label in enumerate(functions.labels) if label == name or label.startswith(f"{name}.")]
+            if mine:
+                return part_of(functions, mine)
             names += [quantity.name, *functions.labels]
         for unknown in fit.layout.unknowns:
+            mine = [k for k, label in enumerate(unknown.labels) if label.startswith(f"{name}.")]
+            if mine:
+                return part_of(fit.functions(unknown), mine)
             names += [unknown.name, *unknown.labels]
         near = units.near_matches(name, names)
         hint = f"did you mean '{near[0]}'? " if near else ""
@@ -82,10 +85,10 @@ def _named(fit: Linearisation, name: str) -> Any:
                          ) from None
 
 
-def part_of(functions: Functions, k: int) -> Functions:
-    """One of several functions."""
-    return Functions(functions.labels[k : k + 1], functions.units[k : k + 1], functions.values[k : k + 1],
-                     functions.derivatives[k : k + 1])
+def part_of(functions: Functions, which: Sequence[int]) -> Functions:
+    """Some of several functions."""
+    return Functions(tuple(functions.labels[k] for k in which), tuple(functions.units[k] for k in which),
+                     functions.values[list(which)], functions.derivatives[list(which)])
 
 
 def by_unit(functions: Functions) -> str:

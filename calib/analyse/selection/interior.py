@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from calib.analyse.selection.limits import Limits
 from calib.analyse.selection.objective import Objective
+from calib.analyse.selection.terms import OfFunctions, Support, Tangent, flattened, projected, summed
 from calib.analyse.selection.terms import Pieces as TermPieces
-from calib.analyse.selection.terms import Support, Tangent, flattened, projected, summed
 from calib.analyse.selection.worst import Largest, mean_of
 from calib.blocks import Array
 
@@ -76,6 +76,11 @@ def inverse_of(information: Array) -> Array:
 
 def front_of(objective: Objective, weights: Array, undecided: NDArray[np.int64]) -> Front:
     """The criterion at strictly feasible weights (n,), to move on the undecided ones."""
+    # One function has one variance, which is its own trace and largest eigenvalue; a matrix of slack does not mind that
+    # the best information is often singular.
+    if all(isinstance(term, OfFunctions) and len(term.matrix) == 1 for term in objective.terms):
+        single = tuple(Largest(t.rows, t.fixed, t.functions) for t in objective.terms)
+        return Matrices.begun(type(objective)(single), weights, undecided)
     if any(isinstance(term, Largest) for term in objective.terms):
         return Matrices.begun(objective, weights, undecided)
     if objective.single:
@@ -302,7 +307,10 @@ def interior(objective: Objective, limits: Limits, weights: Array, undecided: ND
         d_price = np.where(active, (aim - slack * price + price * use) / slack, 0.0)
         d_low = (aim - w * low - low * move[:u]) / w
         d_high = (aim - (1.0 - w) * high + high * move[:u]) / (1.0 - w)
-        far, wide = front.reach(move, aim)
+        try:
+            far, wide = front.reach(move, aim)
+        except np.linalg.LinAlgError:      # a dual matrix on the edge: rounding has the last word
+            break
         near = 0.8 + 0.19 * min(step, other) if count else 0.99      # of the way to the walls
         step = min(1.0, near * min(largest_step(w, move[:u]), largest_step(1.0 - w, -move[:u]),
                                    largest_step(slack, -use), far))

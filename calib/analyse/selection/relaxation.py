@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.analyse.selection.interior import interior, inverse_of
+from calib.analyse.selection.interior import Smooth, front_of, interior, inverse_of
 from calib.analyse.selection.limits import Limits
 from calib.analyse.selection.objective import Objective
 from calib.analyse.selection.terms import Support
@@ -50,7 +50,7 @@ def relax(objective: Objective, limits: Limits, start: Array, lower: Array | Non
         decided, weights = _decide(limits, lower, upper, undecided, weights)
     else:
         weights = _loosened(limits, weights, undecided)
-    if not objective.single:
+    if not isinstance(front_of(objective, weights, undecided), Smooth):
         # A worst value far from all its pieces is nearer to the path than any choice.
         weights[undecided] = 0.5
         weights = _loosened(limits, weights, undecided)

@@ -200,7 +200,7 @@ def _promises(fit: Linearisation, candidates: Candidates, chosen: Sequence[int],
         u = np.full(len(functions.labels), np.inf)
         for k in range(len(u)):
             try:
-                u[k] = covariance(some, part_of(functions, k)).u[0]
+                u[k] = covariance(some, part_of(functions, [k])).u[0]
             except RankDefect:
                 continue
     return tuple(Promise(*each) for each in zip(functions.labels, functions.units, whole.u.tolist(), u.tolist(),

@@ -154,6 +154,8 @@ class Term:
         exp(-loss) is one; mixture: (f,) shares of the functions where the loss is the largest of them.
         Source: Pukelsheim (2006), chapter 5 (polars of information functions).
         """
+        values, vectors = np.linalg.eigh(0.5 * (dual + dual.T))
+        dual = (vectors * np.maximum(values, 0.0)) @ vectors.T      # rounding may have left it a hair below
         least = self.least(dual, mixture)
         return Support(projected(self.rows, dual) / least, float(np.sum(self.fixed * dual)) / least)
 
