@@ -110,12 +110,12 @@ def _with_structure(
     scene: Scene, base: Finding, screen: Screen, level: float, seed: int, first: Screen | None, most: int = MOST
 ) -> Account | None:
     bare: Field = replace(base.left, signals=(), sizes=())
-    found, left, looks = described(bare, screen.shapes, level, seed, first, screen.looks, most)
+    found, left, choices = described(bare, screen.shapes, level, seed, first, screen.looks, most)
     if not found:
         return None
     noise = _plainest(accounts(left, scene.channels))
     taken = left.basis.shape[1] - bare.basis.shape[1]
-    price = taken * np.log(max(left.dof, 2)) + 2 * len(found) * np.log(max(looks, 2))
+    price = taken * np.log(max(left.dof, 2)) + choices
     return Account(base, tuple(found), noise, noise.score + price + price_of(scene, base) + ADVANTAGE)
 
 

@@ -28,7 +28,7 @@ def corrected(p: float, looks: float) -> float:
     return float(corrected_each(np.array([p]), looks)[0])
 
 
-def corrected_each(p: Array, looks: float) -> Array:
+def corrected_each(p: Array, looks: float | Array) -> Array:
     """The same for many p-values at once."""
     return -np.expm1(looks * np.log1p(-np.minimum(p, 1 - 1e-16)))
 

@@ -30,13 +30,15 @@ MOST = 5  # descriptions that may stand together
 
 @dataclass(frozen=True)
 class Pattern:
-    """One description: channel, covariate and what of it; columns (m, k) over its places among all whitened rows."""
+    """One description: channel, covariate and what of it; columns (m, k) over its places among all whitened rows;
+    plain: of one covariate over a whole channel."""
 
     channel: str
     covariate: str
     kind: str
     places: NDArray[np.int64]
     columns: Array
+    plain: bool = False
 
     def whole(self, n: int) -> Array:
         """Columns (n, k) over all whitened rows."""
@@ -67,7 +69,8 @@ def patterns(channels: Sequence[Channel]) -> list[Pattern]:
         before = channel
         for part, inside, kinds in parts:
             places = channel.places[inside]
-            found += [Pattern(channel.name + part, covariate, kind, places, columns)
+            found += [Pattern(channel.name + part, covariate, kind, places, columns,
+                              not part and covariate in channel.covariates)
                       for covariate, kind, columns in kinds]
     return found
 
@@ -107,7 +110,8 @@ def _shapes(values: NDArray, unit: str) -> Iterator[tuple[str, Array]]:
     if len(levels) < 2:
         return
     if unit in ("rad", "deg"):
-        orders = [o for o in HARMONICS if len(levels) > 2 * o]
+        spacing = float(np.median(np.diff(levels)))  # an order shows where more than two readings fall into a turn
+        orders = [o for o in HARMONICS if len(levels) > 4 and o * spacing < 0.9 * np.pi]
         for order in orders:
             yield f"harmonic {order}", _turning(order * numbers)
     scaled = _scaled(numbers)
@@ -179,7 +183,7 @@ def _scaled(numbers: Array) -> Array:
 class Screen:
     """Score tests of many patterns at once, each from its own rows, against residuals outside a basis."""
 
-    def __init__(self, field: Field, shapes: Sequence[Pattern], seed: int, looks: float | None = None):
+    def __init__(self, field: Field, shapes: Sequence[Pattern], seed: int, looks: tuple[float, float] | None = None):
         self.shapes, self.field = [], field
         self._sheets: list[_Sheet] = []
         for _, run in groupby(shapes, lambda shape: id(shape.places)):
@@ -187,6 +191,7 @@ class Screen:
             self._sheets += [sheet] if seen else []
             self.shapes += seen
         self.dofs = np.concatenate([np.zeros(0, int), *(np.diff(s.ends, prepend=0) for s in self._sheets)])
+        self.plain = np.array([shape.plain for shape in self.shapes], dtype=bool)
         self.looks = self._looks(seed) if looks is None else looks
 
     def drops(self, residuals: Array) -> Array:
@@ -197,11 +202,22 @@ class Screen:
             found.append(np.add.reduceat(squared, np.concatenate([[0], sheet.ends[:-1]]), axis=0))
         return np.concatenate(found) if found else np.zeros((0, residuals.shape[1]))
 
-    def _looks(self, seed: int) -> float:
+    def _looks(self, seed: int) -> tuple[float, float]:
+        """Independent looks at patterns over one covariate of a whole channel, and at the many others: each of the two
+        has half of the level, so that the many do not hide what is looked for first."""
         if not self.shapes:
-            return 1.0
+            return 1.0, 1.0
         drops = self.drops(self.field.draw(np.random.default_rng(seed), DRAWS))
-        return effective_looks(smallest_tails(drops, self.dofs), len(self.shapes))
+        found = []
+        for which in (self.plain, ~self.plain):
+            smallest = smallest_tails(drops[which], self.dofs[which]) if which.any() else np.ones(DRAWS)
+            found.append(2 * effective_looks(smallest, int(which.sum())))
+        return found[0], found[1]
+
+    @property
+    def each(self) -> Array:
+        """Number of looks that each pattern stands among."""
+        return np.where(self.plain, *self.looks)
 
     @cached_property
     def judged(self) -> tuple[Array, Array]:
@@ -209,7 +225,7 @@ class Screen:
         drops = self.drops(self.field.residual[:, None])[:, 0]
         left = self.field.dof - self.dofs
         scale = np.where(left > 0, np.maximum(1.0, (self.field.squares - drops) / np.maximum(left, 1)), 1.0)
-        p = corrected_each(tails(drops, self.dofs, scale, left), self.looks)
+        p = corrected_each(tails(drops, self.dofs, scale, left), self.each)
         return p, drops / scale - self.dofs * np.log(max(self.field.dof, 2))
 
     def places(self) -> list[Place]:
@@ -220,8 +236,9 @@ class Screen:
         return [Place(s.channel, s.covariate, s.kind, float(p[i])) for i in np.lexsort((-gain, p))
                 for s in (self.shapes[i],)]
 
-    def best(self, level: float) -> tuple[Pattern, Place] | None:
-        """The significant pattern that says most with fewest parameters; None where none is significant."""
+    def best(self, level: float) -> tuple[Pattern, Place, float] | None:
+        """The significant pattern that says most with fewest parameters, and among how many looks it stands; None where
+        none is significant."""
         if not self.shapes:
             return None
         p, gain = self.judged
@@ -229,7 +246,7 @@ class Screen:
             return None
         one = int(np.argmax(np.where(p <= level, gain, -np.inf)))
         shape = self.shapes[one]
-        return shape, Place(shape.channel, shape.covariate, shape.kind, float(p[one]))
+        return shape, Place(shape.channel, shape.covariate, shape.kind, float(p[one])), float(self.each[one])
 
 
 @dataclass(frozen=True)
@@ -267,32 +284,32 @@ def _sheet(field: Field, shapes: Sequence[Pattern]) -> tuple[_Sheet, list[Patter
 
 def described(
     field: Field, shapes: Sequence[Pattern], level: float, seed: int, first: Screen | None = None,
-    known: float | None = None, most: int = MOST,
-) -> tuple[list[Place], Field, int]:
+    known: tuple[float, float] | None = None, most: int = MOST,
+) -> tuple[list[Place], Field, float]:
     """Describe what is left over by patterns, one after another, as long as one is significant.
 
     first: the screen of this field where it is there already; known: the number of independent looks, if known;
     most: patterns at most.
-    Returns the patterns, the field without them, and how many looks one of them was chosen from.
+    Returns the patterns, the field without them, and twice the logarithm of the choices made.
     """
     found: list[Place] = []
-    looks = 1
+    choices = 0.0
     for _ in range(most):
         # What was taken changes the number of independent looks but little; simulating it is the dear part.
         screen = Screen(field, shapes, seed, known) if first is None else first
         first, known = None, screen.looks
-        looks = max(looks, len(screen.shapes))
         best = screen.best(level)
         if best is None:
             break
-        pattern, place = best
+        pattern, place, looks = best
+        choices += 2 * float(np.log(max(looks, 2.0)))
         signal = field.outside(pattern.whole(len(field.residual)))
         left, values, right = np.linalg.svd(signal, full_matrices=False)
         seen = values > 1e-6 * max(values[0], 1e-300)
         frame = left[:, seen]
         found.append(_with_figures(place, pattern, (right[seen].T / values[seen]) @ (frame.T @ field.residual)))
         field = field.taking(frame)
-    return found, field, looks
+    return found, field, choices
 
 
 def _with_figures(place: Place, pattern: Pattern, estimate: Array) -> Place:
