@@ -22,7 +22,7 @@ from calib.workflow.discrepancy.rivals import Noise
 from calib.workflow.discrepancy.scene import Scene
 from calib.workflow.discrepancy.search import Finding
 from calib.workflow.discrepancy.structure import Place, Screen
-from calib.workflow.discrepancy.words import next_measurement, plausibility, remarks_on, sentence, unseen
+from calib.workflow.discrepancy.words import next_measurement, plausibility, remarks_on, sentence, standing_still
 
 LOOKED_AT = 3  # kinds of look at the nominal model: the size of its residuals, places, effects
 MANY = 8  # places named under `where`
@@ -142,7 +142,7 @@ def conclude(
         judged.structure,
         judged.noise,
         tuple(hidden(nominal.fit, nominal.field, nominal.chosen)),
-        next_measurement(verdict, advice, rows, judged.structure, judged.noise, unseen(nominal)),
+        next_measurement(verdict, advice, rows, judged.structure, judged.noise, standing_still(nominal)),
         _ranking(nominal),
         (*remarks, *remarks_on(nominal)),
         before,

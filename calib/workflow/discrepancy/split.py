@@ -22,7 +22,11 @@ def held_out_rows(job: Job, problem: Problem) -> tuple[dict[str, NDArray[np.bool
     if any(table.has("split") for table in job.tables.values()):
         rows = {int(row) for table in job.tables.values() if table.has("split")
                 for row, split in zip(table.row_numbers, table.text("split"), strict=True) if split == "check"}
-        check = {o.group: np.isin(o.rows, list(rows)) for o in observed}
+        check = {o.group: np.asarray(o.covariates["split"] == "check") if "split" in o.covariates
+                 else np.isin(o.rows, list(rows)) for o in observed}
+        if all(mask.all() for mask in check.values()):
+            return {}, ("Every row is marked `check`, so that none is left to adjust on: the gap is judged on the rows "
+                        "of the fit only. Mark as `fit` those that the model may be adjusted to.")
         if any(mask.any() for mask in check.values()):
             return check, ""
         return {}, "No row is marked `check`, so the gap is judged on the rows of the fit only."

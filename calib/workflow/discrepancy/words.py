@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -86,11 +86,11 @@ def _of_structure(place: Place) -> str:
 
 def next_measurement(
     verdict: str, advice: str, rows: Sequence[int], structure: Sequence[Place], noise: Sequence[NoiseTest],
-    unseen: Sequence[Candidate],
+    standing: Mapping[str, Sequence[str]],
 ) -> str:
     """What to measure next, in a sentence without its full stop; empty where nothing would decide more.
 
-    advice: what tells named effects from their aliases; unseen: candidates that no reading shows.
+    advice: what tells named effects from their aliases; standing: {covariate that never varies: effects it drives}.
     """
     if advice:
         return advice
@@ -106,8 +106,8 @@ def next_measurement(
         return "repeat some readings without moving anything, to tell larger noise from something that is missing"
     if verdict == "outliers":
         return f"read row(s) {', '.join(map(str, rows))} again"
-    still = list(dict.fromkeys(name for one in unseen for name in one.effect.inputs))
-    return f"let {' and '.join(w.replace('_', ' ') for w in still[:3])} vary to show {unseen[0].label}" if still else ""
+    shows = [f"{name.replace('_', ' ')} vary to show {', '.join(labels[:LISTED])}" for name, labels in standing.items()]
+    return f"let {'; let '.join(shows[:LISTED])}" if shows else ""
 
 
 def _of_noise(test: NoiseTest) -> str:
@@ -135,10 +135,18 @@ def remarks_on(scene: Scene) -> tuple[str, ...]:
         listed = ", ".join(c.label for c in hiding[:LISTED]) + (" and others" if len(hiding) > LISTED else "")
         found.append(f"These readings cannot show {listed}: the unknowns absorb them, or what drives them stands "
                      "still.")
+    for name, labels in standing_still(scene).items():
+        found.append(f"'{name.replace('_', ' ')}' never varies, so {', '.join(labels[:LISTED])} cannot be judged; "
+                     "let it vary in further readings.")
+    return tuple(found)
+
+
+def standing_still(scene: Scene) -> dict[str, list[str]]:
+    """{covariate that never varies: labels of the candidates that it drives}."""
+    found = {}
     for name in dict.fromkeys(name for channel in scene.channels for name in channel.covariates):
         columns = [c.covariates[name] for c in scene.channels if name in c.covariates]
         users = [c.label for c in scene.chosen if name in c.effect.inputs]
-        if users and all(len(np.unique(values)) == 1 for values in columns):
-            found.append(f"'{name.replace('_', ' ')}' never varies, so {', '.join(users[:LISTED])} cannot be judged; "
-                         "let it vary in further readings.")
-    return tuple(found)
+        if users and len(np.unique(np.concatenate(columns))) == 1:
+            found[name] = users
+    return found
