@@ -38,15 +38,20 @@ method_option = click.option("--method", type=click.Choice(METHODS), default=MET
 @click.command()
 @job_options
 @method_option
+@click.option("--against", type=click.Path(path_type=Path), metavar="FILE",
+              help="A result.json or certificate of a second method or an earlier calibration: E_n of every result.")
+@click.option("--certificate", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE",
+              help="Write a digital calibration certificate (DCC, XML) with what the job's [certificate] says.")
 @output_options
 def solve(
-    job: Path, data_folder: Path | None, problem_file: Path | None, method: str, output: Output
+    job: Path, data_folder: Path | None, problem_file: Path | None, method: str, against: Path | None,
+    certificate: Path | None, output: Output
 ) -> int:
     """Solve JOB (a .toml file, a case folder, or a file that a problem accepts).
 
-    With --out: result.json, observations.csv and report.html.
+    With --out: result.json, observations.csv, budget.csv and report.html.
     """
-    from calib.report import observations, page, result
+    from calib.report import budget, comparisons, observations, page, result
     from calib.report.provenance import provenance
 
     read = Job.read(job, data_folder)
@@ -56,15 +61,32 @@ def solve(
         solution = solved(read, module, method_of(method))
         step()
     content = result.content(solution, origin)
+    compared, remark = comparisons.beside(solution, origin, against) if against is not None else ((), "")
+    if compared:
+        content["compatibility"] = {"with": against, "remark": remark, "results": comparisons.content(compared)}
+    if certificate is not None:
+        from calib.report.certificate.write import write as certify
+
+        certify(solution, origin, certificate)
     output.result(content)
     say(output, solution)
+    for line in compared:
+        output.say(f"E_n of {line.quantity} = {numbers.plain(line.normalised, 3)}: "
+                   f"{'compatible' if line.compatible else 'NOT compatible'} with {against}")
+    if remark:
+        output.prose(remark)
     if output.folder is not None:
         output.say()
         output.wrote(
             files.write_json(output.path("result.json"), content),
             observations.write(solution, output.path("observations.csv")),
-            page.write(solution, origin, output.path("report.html")),
+            budget.write(solution, output.path("budget.csv")),
+            page.write(solution, origin, output.path("report.html"), comparisons.grid(compared), remark),
+            *(files.write_csv(output.path(f"{name}.csv"), list(lines[0]), [list(line.values()) for line in lines])
+              for name, lines in solution.tables.items() if lines),
         )
+    if certificate is not None:
+        output.say(f"certificate written: {certificate}")
     estimate = solution.estimate
     return DONE if estimate.certificate.passed and estimate.converged else FAILED
 

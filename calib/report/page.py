@@ -19,20 +19,21 @@ from calib.workflow.solution import Solution
 ANSWERS = 12            # results in the answer; the table below holds all
 
 
-def write(solution: Solution, provenance: Provenance, path: str | Path) -> Path:
+def write(solution: Solution, provenance: Provenance, path: str | Path, compatibility: Grid | None = None,
+          remark: str = "") -> Path:
     """Write report.html, whole or not at all.
 
-    solution: a solved job; provenance: of the run; path: of the file.
+    solution: a solved job; provenance: of the run; path: of the file; compatibility: with another result, and a remark.
     return: the path.
     raises InputError where it cannot be written.
     """
-    return files.write_text(path, html(solution, provenance))
+    return files.write_text(path, html(solution, provenance, compatibility, remark))
 
 
-def html(solution: Solution, provenance: Provenance) -> str:
+def html(solution: Solution, provenance: Provenance, compatibility: Grid | None = None, remark: str = "") -> str:
     """The page as text: self-contained, nothing is loaded from elsewhere.
 
-    solution: a solved job; provenance: of the run.
+    solution: a solved job; provenance: of the run; compatibility, remark: as for `write`.
     return: the HTML document.
     """
     certificate = solution.estimate.certificate
@@ -50,6 +51,8 @@ def html(solution: Solution, provenance: Provenance) -> str:
         advice=solution.advice,
         results=_results(solution),
         tolerances=_tolerances(solution),
+        compatibility=compatibility if compatibility is not None and compatibility.rows else None,
+        compatibility_remark=remark,
         excluded=[f"Table {one.table}, row {', '.join(map(str, one.rows))}: {one.reason}" for one in job.exclude],
         including=_including(solution),
         including_refused=solution.including_refused,

@@ -1,4 +1,4 @@
-"""Conformity of a result with its tolerance, decided by the guard band of ISO 14253-1."""
+"""Conformity of a result with its tolerance (guard band of ISO 14253-1) and with another result (E_n)."""
 
 from __future__ import annotations
 
@@ -38,6 +38,36 @@ def judge(quantity: str, unit: str, value: float, u: float, lower: float, upper:
     within = _normal((upper - value) / u) - _normal((lower - value) / u)
     verdict = PASS if within >= PROBABILITY else FAIL if within <= 1.0 - PROBABILITY else UNDECIDED
     return Conformity(quantity, unit, value, u, lower, upper, within, verdict)
+
+
+@dataclass(frozen=True)
+class Compatibility:
+    """A result beside that of a second method or an earlier calibration; all in SI.
+
+    value, other; expanded, other_expanded: their expanded uncertainties (k = 2); normalised: the normalised error E_n;
+    compatible: whether it is at most 1 in size.
+    """
+
+    quantity: str
+    unit: str
+    value: float
+    expanded: float
+    other: float
+    other_expanded: float
+    normalised: float
+    compatible: bool
+
+
+def compared(quantity: str, unit: str, value: float, expanded: float, other: float, other_expanded: float
+             ) -> Compatibility:
+    """Compare two results of one quantity that are independent of each other.
+
+    quantity, unit: for display; value, other: SI; expanded, other_expanded: expanded uncertainties, not both zero.
+    return: the comparison, E_n = (x - y)/sqrt(U_x^2 + U_y^2).
+    source: ISO/IEC 17043, E_n number.
+    """
+    normalised = (value - other) / math.hypot(expanded, other_expanded)
+    return Compatibility(quantity, unit, value, expanded, other, other_expanded, normalised, abs(normalised) <= 1.0)
 
 
 def _normal(z: float) -> float:

@@ -83,7 +83,7 @@ def _earlier(problem: Problem, one: PriorKnowledge, path: Path) -> Observations:
     content = files.read_json(path)
     try:
         names, matrix = list(content["covariance"]["names"]), np.array(content["covariance"]["matrix"], float)
-        values = {_label(entry): (float(entry["value"]), str(entry["unit"]))
+        values = {label_of(entry): (float(entry["value"]), str(entry["unit"]))
                   for entry in (*content["unknowns"], *content["derived"]) if entry["value"] is not None}
         stated = [values[name] for name in names]
     except (KeyError, TypeError, ValueError) as error:
@@ -101,7 +101,8 @@ def _earlier(problem: Problem, one: PriorKnowledge, path: Path) -> Observations:
                     [unit for _, unit in stated], one.where)
 
 
-def _label(entry: dict[str, Any]) -> str:
+def label_of(entry: dict[str, Any]) -> str:
+    """The label of an entry of result.json, such as "target[A].r"."""
     label = str(entry["name"])
     if entry.get("instance") is not None:
         label += f"[{entry['instance']}]"
