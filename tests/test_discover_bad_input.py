@@ -57,7 +57,8 @@ def _case(tmp_path):
     rows = []
     for i, (a, r) in enumerate(zip(angle, readings, strict=True)):
         split, sweep, way = "check" if i % 6 == 3 else "fit", 1 + (i >= 19), 1 if i < 19 else -1
-        rows.append(f"{i + 1},{split},T1,1,{sweep},{sweep},{way},{a:.1f},{2 * i},{20 + 0.3 * np.sin(i / 5):.2f},{r:.3f}")
+        warm = 20 + 0.3 * np.sin(i / 5)
+        rows.append(f"{i + 1},{split},T1,1,{sweep},{sweep},{way},{a:.1f},{2 * i},{warm:.2f},{r:.3f}")
     (tmp_path / "case").mkdir()
     (tmp_path / "case" / "case.toml").write_text(CASE, encoding="utf-8")
     (tmp_path / "case" / "measurements.csv").write_text("\n".join([HEADER, *rows, ""]), encoding="utf-8")
