@@ -37,13 +37,16 @@ from calib import (
 )
 from calib.errors import InputError
 from calib.job import Job
-from calib.mechanism import Frame, Mechanism, Rotary, backlash, encoder_harmonic, location_errors, sag
-from calib.mechanism.axis import Load
+from calib.mechanism import Frame, Load, Mechanism, Rotary, encoder_harmonic, location_errors, sag
+from calib.mechanism.conditions import approaches, drawn_conditions, driven_by_conditions, written_conditions
 from calib.mechanism.heldout import misses, rms
 from calib.mechanism.inputs import checked_positions
 from calib.mechanism.relation import crossing
+from calib.mechanism.scene import axes_of
 from calib.mechanism.start import nearest_motion
+from calib.scene import Points, Scene, Sights
 from calib.units import arcsec, degree, mm
+from problems.recorded import recorded
 
 accepts = ("problems.gimbal",)
 FIELD = 20 * degree         # what a camera can see to the side; a target beyond it is another one
@@ -51,7 +54,8 @@ LARGEST_MISS = 1 * degree   # more than errors of manufacture: another sign, uni
 FREE = ("sighting_error (sight)", "EY0A (A)", "EB0A (A)", "encoder_1x_C (C)", "encoder_1x_A (A)")
 columns = {
     "images": {"C, A": "commanded angles", "target": "name", "right, up": "where it stands in the image, angles",
-               "C_approach, A_approach": "+1 or -1, the direction an axis came from (optional)"},
+               "C_approach, A_approach": "+1 or -1, the direction an axis came from (optional)",
+               "time, temp, block": "when, in which temperature, after which set-up (optional)"},
     "targets": {"target": "name", "x, y, z": "where it stands; z up"}}
 options = {"u": "standard uncertainty of a place in the image, an angle",
            "free": "effects to estimate; sighting error, location of A and both circles if not given"}
@@ -84,30 +88,30 @@ def effects() -> tuple[Effect, ...]:
                        Parameter("up", "arcsec", (1 * arcsec, 1000 * arcsec))), source="Deumlich and Staiger 2002")
     location = [e for e in location_errors(mechanism, ["A"]) if e.name in ("EY0A", "EB0A")]
     return (sighting, *location, *(encoder_harmonic(axis, order) for axis in mechanism.axes for order in (1, 2)),
-            *(backlash(axis, f"{axis.name}_approach") for axis in mechanism.axes), sag(mechanism, mechanism.axis("A")))
+            *driven_by_conditions(mechanism), sag(mechanism, mechanism.axis("A")))
 
 
 def declare(positions: ArrayLike, targets: ArrayLike, images: ArrayLike | None, u: float, field: geometry.Transform,
             free: Sequence[str] = FREE, names: Sequence[object] | np.ndarray | None = None,
-            approach: Mapping[str, np.ndarray] | None = None, rows: ArrayLike | None = None) -> Problem:
+            conditions: Mapping[str, Any] | None = None, rows: ArrayLike | None = None) -> Problem:
     """Declare the identification of the gimbal.
 
     positions: (n, 2) of C and A [rad]; targets: (n, 3) [m] of the target in each image; images: (n, 2) right, up [rad]
     or None to plan; u: standard uncertainty of each [rad]; field: field_from_base, roughly; free: effects to estimate;
-    names: (n,) of the targets; approach: {axis: (n,) +1 or -1}; rows: numbers in the data file.
+    names: (n,) of the targets; conditions: covariates such as `C_approach`; rows: numbers in the data file.
     Returns the problem with the unknown `field_from_base`, and angle and distance of the axes as quantity `C_to_A`.
     """
     mechanism = gimbal()
     positions, targets = checked_positions(mechanism, positions, rows), np.asarray(targets, float)
     place = Pose("field_from_base", field.rotation, field.translation, unit="mm", angle_unit="arcsec")
     covariates = {name: (positions[:, i], "rad") for i, name in enumerate("CA")}
-    covariates |= {f"{axis}_approach": (came, "1") for axis, came in (approach or {}).items()}
     observations = Observations(
         image, place, positions, targets, readings=images, u=u, group="images", unit="arcsec",
         components=("right", "up"), rows=rows,
-        covariates={**covariates, "target": np.asarray(names if names is not None else ["all"] * len(positions))})
-    offered = [e for e in effects() if all(n in covariates for n in e.inputs if n.endswith("_approach"))]
-    problem = Problem([observations], effects=offered, name="gimbal").free(*free)
+        covariates={**covariates, **(conditions or {}),
+                    "target": np.asarray(names if names is not None else ["all"] * len(positions))})
+    problem = Problem([observations], name="gimbal")
+    problem = problem.with_effects(*problem.acting(effects())).free(*free)
     return problem.with_quantities(crossing(problem, mechanism, "C", "A"))
 
 
@@ -134,9 +138,9 @@ def from_job(job: Job) -> Problem:
     if miss > LARGEST_MISS:
         raise InputError(f"{table.path}: the images miss the gimbal as it is designed by {miss / degree:.3g} degrees "
                          "(rms); check the signs of right and up, of C and A, and the names of the targets.")
-    approach = {axis: table.number(f"{axis}_approach") for axis in "CA" if table.has(f"{axis}_approach")}
     return declare(positions, targets, seen, job.options.quantity("u", "angle"), field,
-                   job.options.texts("free", FREE), names, approach, table.row_numbers)
+                   job.options.texts("free", FREE), names, {**approaches(gimbal(), table), **recorded(job, table)},
+                   table.row_numbers)
 
 
 def rough_field(positions: np.ndarray, targets: np.ndarray, images: np.ndarray) -> tuple[geometry.Transform, float]:
@@ -177,9 +181,9 @@ def pointing(estimate: Estimate, target: ArrayLike, near: ArrayLike) -> np.ndarr
     commands = Unknown("commands", np.asarray(near, float), "deg", parts=("C", "A"),
                        lower=[a.limits[0] for a in mechanism.axes], upper=[a.limits[1] for a in mechanism.axes])
     place = estimate.problem.select("field_from_base").unknown
-    acting = [e for e in estimate.problem.effects if not any(n.endswith("_approach") for n in e.inputs)]
     aim = Problem([Observations(image, place, commands, Shared(np.asarray(target, float)), readings=[[0.0, 0.0]],
-                                u=1 * arcsec, group="middle of the image")], effects=acting, held=[place])
+                                u=1 * arcsec, group="middle of the image")], held=[place])
+    aim = aim.with_effects(*aim.acting(estimate.problem.effects))       # without those of approach and temperature
     return np.asarray(solve(aim, Ipopt(), start={u.name: known[u.name] for u in aim.unknowns if u.name in known})
                       ["commands"])
 
@@ -207,8 +211,8 @@ def plan() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def example(seed: int) -> Problem:
     """Sixteen targets in two faces, simulated with errors of the gimbal. seed: of the readings."""
     commands, targets, names = plan()
-    approach = {axis: np.random.default_rng(9 + i).choice([-1.0, 1.0], len(names)) for i, axis in enumerate("CA")}
-    problem = declare(commands, targets, None, 5 * arcsec, FIELD_FROM_BASE, names=names, approach=approach)
+    problem = declare(commands, targets, None, 5 * arcsec, FIELD_FROM_BASE, names=names,
+                      conditions=drawn_conditions(gimbal(), len(names), 9))
     return simulate(problem, {problem.parameters(n).name: np.atleast_2d(v) for n, v in TRUTH.items()}, seed)
 
 
@@ -217,11 +221,10 @@ def example_job(seed: int) -> dict[str, str]:
     observations, (_, around, names) = example(seed).observations[0], plan()
     c = observations.covariates
     lines = ["# source: simulated, camera on a two-axis gimbal",
-             "C_deg,A_deg,target,right_arcsec,up_arcsec,C_approach,A_approach"]
+             ",".join(["C_deg,A_deg,target,right_arcsec,up_arcsec", *written_conditions(gimbal(), c, 0)])]
     for i, reading in enumerate(observations.recorded):
-        lines.append(f"{c['C'][i] / degree:.4f},{c['A'][i] / degree:.4f},{names[i]},"
-                     + ",".join(f"{v / arcsec:.3f}" for v in reading)
-                     + f",{c['C_approach'][i]:.0f},{c['A_approach'][i]:.0f}")
+        lines.append(",".join([*(f"{c[axis][i] / degree:.4f}" for axis in "CA"), names[i],
+                               *(f"{v / arcsec:.3f}" for v in reading), *written_conditions(gimbal(), c, i).values()]))
     standing = ["# source: simulated, surveyed targets", "target,x_mm,y_mm,z_mm",
                 *(f"{names[i]}," + ",".join(f"{v / mm:.4f}" for v in around[i]) for i in range(16))]
     job = """problem = "problems.gimbal"
@@ -236,3 +239,11 @@ file = "targets.csv"
 u = "5 arcsec"
 """
     return {"job.toml": job, "images.csv": "\n".join(lines) + "\n", "targets.csv": "\n".join(standing) + "\n"}
+
+
+def scene(job: Job, estimate: Estimate) -> Scene:
+    """The axes, and the targets where they stand, seen from the camera."""
+    table, place = job.table("targets"), estimate["field_from_base"].inverse()
+    targets = place @ np.stack([table.number(name, "length") for name in "xyz"], axis=1)
+    return Scene((axes_of(gimbal()), Points("targets", targets, table.text("target")),
+                  Sights("lines of sight", np.zeros(3), targets)))

@@ -18,13 +18,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib import Effect, Estimate, Observations, Pose, Problem, Shared, Unknown, geometry, prior, simulate, solve
+from calib.analyse.shapes import points_of, stations_of
 from calib.errors import InputError
 from calib.job import Job
 from calib.mechanism import Frame, Linear, Mechanism, location_errors, observe, scale
 from calib.mechanism.heldout import misses, rms
 from calib.mechanism.loop import held_by, refuse_open
+from calib.mechanism.scene import axes_of, placed
 from calib.mechanism.start import nearest_motion
 from calib.mechanism.tolerance import tolerances
+from calib.scene import Points, Scene, Sights
 from calib.units import mm, mrad, um
 
 accepts = ("problems.locator_carrier",)
@@ -252,3 +255,13 @@ u_tilt = "0.2 mrad"
             "targets.csv": text("setting,target,x_mm,y_mm,z_mm", (
                 (i // len(names) + 1, names[i % len(names)], v) for i, v in enumerate(points))),
             "part.csv": text("target,x_mm,y_mm,z_mm", ((n, np.array(v)) for n, v in TARGETS.items()))}
+
+
+def scene(job: Job, estimate: Estimate) -> Scene:
+    """The axes of the locators, the balls with their uncertainty, where the part was, and the tracker."""
+    ball, tracker = (estimate.problem.select(name).unknown for name in ("ball", "tracker_from_hall"))
+    parts, eyes = estimate["part"], stations_of(estimate.fit, tracker)
+    balls = placed(points_of(estimate.fit, ball), parts[0])
+    visited = np.array([np.ravel(pose.translation) for pose in parts])
+    return Scene((axes_of(carrier()), balls, Points("part in every setting", visited), eyes,
+                  Sights("measured", eyes.places[0], visited)))

@@ -9,7 +9,8 @@ Source: ISO 230-1:2012, 3.4 and annex A; Schwenke et al., CIRP Annals 57(2), 200
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +19,7 @@ from calib import Effect, Estimate, Observations, Pose, Problem, Unknown, geomet
 from calib.errors import InputError
 from calib.job import Job
 from calib.mechanism import Frame, Linear, Mechanism, error_motions, location_errors, observe
+from calib.mechanism.conditions import approaches, drawn_conditions, driven_by_conditions, written_conditions
 from calib.mechanism.heldout import misses, postures, rms
 from calib.mechanism.inputs import checked_positions
 from calib.mechanism.scene import measured
@@ -25,13 +27,16 @@ from calib.mechanism.start import nearest_motion
 from calib.mechanism.tolerance import tolerances
 from calib.scene import Scene
 from calib.units import mm, um
+from problems.recorded import recorded
 
 accepts = ("problems.machine_21",)
 BLOCKS = 5
 LARGEST_MISS = 10 * mm      # more than errors of manufacture: another unit, sign or reflector
 SQUARENESS = ("EC0Y (Y)", "EA0Z (Z)", "EB0Z (Z)")
 OFFSETS = np.array([[0.0, 0.0, -0.10], [0.15, 0.0, -0.12], [0.0, 0.15, -0.20]])
-columns = {"points": {"X, Y, Z": "commanded positions", "reflector": "name", "x, y, z": "in the tracker's frame"}}
+columns = {"points": {"X, Y, Z": "commanded positions", "reflector": "name", "x, y, z": "in the tracker's frame",
+                      "X_approach, Y_approach, Z_approach": "+1 or -1, the direction an axis came from (optional)",
+                      "time, temp, block": "when, in which temperature, after which set-up (optional)"}}
 options = {"u": "standard uncertainty of a coordinate", "u_offset": "of the stated offset of a reflector on the "
                                                                     "spindle",
            "u_motion": "how large an error motion may be, a length", "u_turn": "how large an angular one may be"}
@@ -46,21 +51,22 @@ def machine() -> Mechanism:
 
 
 def effects() -> tuple[Effect, ...]:
-    """The 21 errors: EXX, EYX ... ECZ and the squarenesses EC0Y, EA0Z, EB0Z."""
+    """The 21 errors, EXX, EYX ... ECZ and the squarenesses EC0Y, EA0Z, EB0Z; what the conditions drive where noted."""
     mechanism = machine()
-    return (*(e for e in location_errors(mechanism, ["Y", "Z"]) if e.label in SQUARENESS), *error_motions(mechanism))
+    return (*(e for e in location_errors(mechanism, ["Y", "Z"]) if e.label in SQUARENESS), *error_motions(mechanism),
+            *driven_by_conditions(mechanism))
 
 
 def declare(positions: ArrayLike, reflector: Sequence[object] | np.ndarray, points: ArrayLike | None, u: float,
             offsets: dict[str, ArrayLike],
             world: geometry.Transform, u_offset: float = 0.2 * mm, u_motion: float = 50 * um, u_turn: float = 100e-6,
-            rows: ArrayLike | None = None) -> Problem:
+            conditions: Mapping[str, Any] | None = None, rows: ArrayLike | None = None) -> Problem:
     """Declare the identification of all 21 errors.
 
     positions: (n, 3) [m]; reflector: (n,) names; points: (n, 3) [m] in the tracker's frame or None to plan; u: standard
     uncertainty of a coordinate [m]; offsets: {name: (3,)} on the spindle, known to u_offset [m]; world:
-    tracker_from_base, roughly; u_motion [m], u_turn [rad]: how large a coefficient of an error motion may be; rows:
-    numbers in the data file.
+    tracker_from_base, roughly; u_motion [m], u_turn [rad]: how large a coefficient of an error motion may be;
+    conditions: covariates such as `X_approach`; rows: numbers in the data file.
     """
     mechanism = machine()
     positions = checked_positions(mechanism, positions, rows)
@@ -72,13 +78,15 @@ def declare(positions: ArrayLike, reflector: Sequence[object] | np.ndarray, poin
         observe.measured_point(mechanism.pose("spindle")), tracker, positions, places[index], readings=points, u=u,
         group="points",
         unit="um", components=("x", "y", "z"), rows=rows,
-        covariates={"reflector": np.array(names)[index], **{a: (positions[:, i], "m") for i, a in enumerate("XYZ")}})
+        covariates={**(conditions or {}), "reflector": np.array(names)[index],
+                    **{a: (positions[:, i], "m") for i, a in enumerate("XYZ")}})
     problem = Problem([observations, prior(places, places.ambient, u_offset, name="offsets of the reflectors")],
-                      effects=effects(), name="three-axis machine")
+                      name="three-axis machine")
+    problem = problem.with_effects(*problem.acting(effects()))
     motions = [e for e in problem.effects if e.slot.endswith("_motion")]
     lengths = {e: u_motion for e in motions if e.name[1] in "XYZ"}
     turns = {e: u_turn for e in motions if e.name[1] in "ABC"}
-    return problem.free(*problem.effects).with_observations(tolerances(problem, lengths, "size of error motions"),
+    return problem.free(*SQUARENESS, *motions).with_observations(tolerances(problem, lengths, "size of error motions"),
                                                             tolerances(problem, turns, "size of angular error motions"))
 
 
@@ -105,7 +113,8 @@ def from_job(job: Job) -> Problem:
     return declare(positions, reflector, points, job.options.quantity("u", "length"), offsets,
                    world, job.options.quantity("u_offset", "length", 0.2 * mm),
                    job.options.quantity("u_motion", "length", 50 * um),
-                   job.options.quantity("u_turn", "angle", 100e-6), table.row_numbers)
+                   job.options.quantity("u_turn", "angle", 100e-6),
+                   {**approaches(machine(), table), **recorded(job, table)}, table.row_numbers)
 
 
 def heldout(job: Job, estimate: Estimate) -> list[tuple[str, float, float, str]]:
@@ -131,7 +140,8 @@ def example(seed: int) -> Problem:
                                                     indexing="ij")], axis=1)
     positions, names = np.repeat(grid, 3, axis=0), [str(i + 1) for _ in grid for i in range(3)]
     world = geometry.Transform(geometry.rotation_from_rpy(0.01, 0.02, 0.5), np.array([-1.5, -1.0, 0.4]))
-    problem = declare(positions, names, None, 1 * um, {str(i + 1): OFFSETS[i] for i in range(3)}, world)
+    problem = declare(positions, names, None, 1 * um, {str(i + 1): OFFSETS[i] for i in range(3)}, world,
+                      conditions=drawn_conditions(machine(), len(names), 9))
     truth = {problem.parameters(n).name: np.atleast_2d(np.asarray(v)) for n, v in TRUTH.items()}
     return simulate(problem, truth, seed)
 
@@ -141,10 +151,10 @@ def example_job(seed: int) -> dict[str, str]:
     observations = example(seed).observations[0]
     c = observations.covariates
     lines = ["# source: simulated, tracking interferometer and three reflectors on the spindle",
-             "X_mm,Y_mm,Z_mm,reflector,x_mm,y_mm,z_mm"]
+             ",".join(["X_mm,Y_mm,Z_mm,reflector,x_mm,y_mm,z_mm", *written_conditions(machine(), c, 0)])]
     for i, reading in enumerate(observations.recorded):
         lines.append(",".join(f"{c[a][i] / mm:.4f}" for a in "XYZ") + f",{c['reflector'][i]},"
-                     + ",".join(f"{v / mm:.7f}" for v in reading))
+                     + ",".join([*(f"{v / mm:.7f}" for v in reading), *written_conditions(machine(), c, i).values()]))
     mounted = ["# source: simulated", "reflector,x_mm,y_mm,z_mm",
                *(f"{i + 1}," + ",".join(f"{v / mm:.3f}" for v in row) for i, row in enumerate(OFFSETS))]
     job = """problem = "problems.machine_21"

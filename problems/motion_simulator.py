@@ -21,13 +21,16 @@ from casadi import atan2, vertcat
 from numpy.typing import ArrayLike
 
 from calib import Effect, Estimate, Observations, Pose, Problem, Unknown, geometry, hands_slots_to, simulate
+from calib.analyse.shapes import points_of, stations_of
 from calib.errors import InputError
 from calib.job import Job
 from calib.mechanism import Frame, Mechanism, Rotary, encoder_harmonic, location_errors, observe
 from calib.mechanism.heldout import in_order, misses, postures, rms
 from calib.mechanism.inputs import checked_positions, unlike_the_mechanism
 from calib.mechanism.relation import crossing, parallelism
+from calib.mechanism.scene import axes_of
 from calib.mechanism.start import place_of_points, places_on
+from calib.scene import Scene, Sights
 from calib.units import arcsec, degree, mm, um
 
 accepts = ("problems.motion_simulator",)
@@ -207,3 +210,10 @@ u_point = "10 um"
 u_sight = "2 arcsec"
 """
     return {"job.toml": job, **{name: "\n".join(lines) + "\n" for name, lines in files.items()}}
+
+
+def scene(job: Job, estimate: Estimate) -> Scene:
+    """The axes, the reflectors of both tables with their uncertainty, and the tracker that sees them."""
+    reflector, tracker = (estimate.problem.select(name).unknown for name in ("reflector", "tracker_from_base"))
+    places, eyes = points_of(estimate.fit, reflector), stations_of(estimate.fit, tracker)
+    return Scene((axes_of(simulator()), places, eyes, Sights("measured", eyes.places[0], places.places)))

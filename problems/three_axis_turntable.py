@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from calib import Effect, Estimate, Observations, Pose, Problem, Unknown, geometry, simulate
 from calib.job import Job
 from calib.mechanism import Frame, Mechanism, Rotary, encoder_harmonic, error_motion, location_errors, observe
+from calib.mechanism.conditions import approaches, drawn_conditions, driven_by_conditions, written_conditions
 from calib.mechanism.heldout import in_order, misses, postures, rms
 from calib.mechanism.inputs import checked_positions, unlike_the_mechanism
 from calib.mechanism.relation import crossing
@@ -25,13 +26,16 @@ from calib.mechanism.scene import measured
 from calib.mechanism.start import place_of_points
 from calib.scene import Scene
 from calib.units import arcsec, degree, mm, um
+from problems.recorded import recorded
 
 accepts = ("problems.three_axis_turntable",)
 AXES = ("C", "A", "B")
 BLOCKS = 6
 LOCATION = ("EY0A (A)", "EB0A (A)", "EX0B (B)", "EZ0B (B)", "EC0B (B)")  # what readings see wherever the tracker stands
 REFLECTORS = {"1": (0.25, 0.0, 0.0), "2": (-0.10, 0.05, 0.22), "3": (-0.12, -0.05, -0.20)}
-columns = {"points": {"C, A, B": "commanded angles", "reflector": "name", "x, y, z": "in the tracker's frame"}}
+columns = {"points": {"C, A, B": "commanded angles", "reflector": "name", "x, y, z": "in the tracker's frame",
+                      "C_approach, A_approach, B_approach": "+1 or -1, the direction an axis came from (optional)",
+                      "time, temp, block": "when, in which temperature, after which set-up (optional)"}}
 options = {"u": "standard uncertainty of a coordinate", "free": "further effects to estimate, such as "
                                                                 "[\"encoder_1x_C\"]"}
 
@@ -44,23 +48,24 @@ def turntable() -> Mechanism:
 
 
 def effects() -> tuple[Effect, ...]:
-    """Location errors of A and B, two harmonics of each encoder, radial and tilt error motions of each axis."""
+    """Location errors of A and B, two harmonics of each encoder, radial and tilt error motions of each axis, and what
+    the conditions drive where they were noted."""
     mechanism = turntable()
     found = [e for e in location_errors(mechanism, ["A", "B"]) if e.label in LOCATION]
     for axis in mechanism.axes:
         found += [encoder_harmonic(axis, 1), encoder_harmonic(axis, 2)]
         found += [error_motion(axis, "XYZABC"[i + kind], (2,)) for i in range(3) if i != axis.along for kind in (0, 3)]
-    return tuple(found)
+    return (*found, *driven_by_conditions(mechanism))
 
 
 def declare(positions: ArrayLike, reflector: Sequence[object] | np.ndarray, points: ArrayLike | None, u: float,
             world: geometry.Transform, places: Mapping[str, ArrayLike], free: Sequence[str] = (),
-            rows: ArrayLike | None = None) -> Problem:
+            conditions: Mapping[str, Any] | None = None, rows: ArrayLike | None = None) -> Problem:
     """Declare the identification of the turntable.
 
     positions: (n, 3) of C, A, B [rad]; reflector: (n,) names; points: (n, 3) [m] or None to plan; u: standard
     uncertainty of a coordinate [m]; world: tracker_from_base, places: {reflector: (3,) on the table [m]}, both roughly;
-    free: further effects; rows: numbers in the data file.
+    free: further effects; conditions: covariates such as `C_approach`; rows: numbers in the data file.
     Returns the problem with the unknowns `tracker_from_base`, `reflector`, the location errors free, and as quantities
     the departures from perpendicular and the distances of C and A, A and B.
     """
@@ -73,8 +78,10 @@ def declare(positions: ArrayLike, reflector: Sequence[object] | np.ndarray, poin
     observations = Observations(
         observe.measured_point(mechanism.pose("table")), tracker, positions, where[index], readings=points, u=u,
         group="points", unit="um", components=("x", "y", "z"), rows=rows,
-        covariates={"reflector": np.array(names)[index], **{a: (positions[:, i], "rad") for i, a in enumerate(AXES)}})
-    problem = Problem([observations], effects=effects(), name="three-axis turntable")
+        covariates={**(conditions or {}), "reflector": np.array(names)[index],
+                    **{a: (positions[:, i], "rad") for i, a in enumerate(AXES)}})
+    problem = Problem([observations], name="three-axis turntable")
+    problem = problem.with_effects(*problem.acting(effects()))
     problem = problem.free(*(problem.parameters(name) for name in (*LOCATION, *free)))
     return problem.with_quantities(crossing(problem, mechanism, "C", "A"), crossing(problem, mechanism, "A", "B"))
 
@@ -89,7 +96,8 @@ def from_job(job: Job) -> Problem:
     checked_positions(turntable(), positions, table.row_numbers, str(table.path))
     unlike_the_mechanism(turntable(), "table", positions, reflector, points, str(table.path))
     world, places = place_of_points(turntable(), "table", positions, reflector, points)
-    return declare(positions, reflector, points, u, world, places, free, table.row_numbers)
+    return declare(positions, reflector, points, u, world, places, free,
+                   {**approaches(turntable(), table), **recorded(job, table)}, table.row_numbers)
 
 
 def _positions(job: Job) -> np.ndarray:
@@ -124,7 +132,8 @@ def example(seed: int) -> Problem:
     """Three reflectors in 72 postures, simulated with errors of the axes. seed: of the readings."""
     positions, reflector = _plan()
     world = geometry.Transform(geometry.rotation_from_rpy(0.02, -0.01, 1.0), np.array([2.5, 0.4, 0.3]))
-    problem = declare(positions, reflector, None, 5 * um, world, REFLECTORS, free=("encoder_1x_C",))
+    problem = declare(positions, reflector, None, 5 * um, world, REFLECTORS, ("encoder_1x_C",),
+                      drawn_conditions(turntable(), len(positions), 9))
     truth: dict[str, Any] = {problem.parameters(name).name: [[value]] for name, value in TRUTH.items()}
     truth[problem.parameters("encoder_1x_C").name] = [[2 * arcsec, -3 * arcsec]]
     return simulate(problem, truth, seed)
@@ -136,10 +145,10 @@ def example_job(seed: int) -> dict[str, str]:
     observations = problem.observations[0]
     c = observations.covariates
     lines = ["# source: simulated, tracker and three reflectors on a three-axis turntable",
-             "C_deg,A_deg,B_deg,reflector,x_mm,y_mm,z_mm"]
+             ",".join(["C_deg,A_deg,B_deg,reflector,x_mm,y_mm,z_mm", *written_conditions(turntable(), c, 0)])]
     for i, reading in enumerate(observations.recorded):
         lines.append(",".join(f"{c[a][i] / degree:.6f}" for a in AXES) + f",{c['reflector'][i]},"
-                     + ",".join(f"{v / mm:.6f}" for v in reading))
+                     + ",".join([*(f"{v / mm:.6f}" for v in reading), *written_conditions(turntable(), c, i).values()]))
     job = 'problem = "problems.three_axis_turntable"\n\n[data.points]\nfile = "points.csv"\n\n[options]\nu = "5 um"\n' \
           'free = ["encoder_1x_C"]\n'
     return {"job.toml": job, "points.csv": "\n".join(lines) + "\n"}
