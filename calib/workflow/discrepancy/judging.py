@@ -116,6 +116,8 @@ def _with_structure(
     noise = _plainest(accounts(left, scene.channels))
     taken = left.basis.shape[1] - bare.basis.shape[1]
     price = taken * np.log(max(left.dof, 2)) + choices
+    if noise.kind == SCALED and left.squares < left.dof:
+        price += ODD  # noise that is larger may be more of the structure; smaller it cannot
     return Account(base, tuple(found), noise, noise.score + price + price_of(scene, base) + ADVANTAGE)
 
 

@@ -17,7 +17,7 @@ from calib.workflow.discrepancy.subsets import PARAMETER, Subsets
 EXPLORE = 0.25  # corrected p-value up to which the search goes on adding, before it drops what is not needed
 MOST_EFFECTS = 6
 STEPS = 12  # of exchange at most
-LIKELY = 10  # candidates of which pairs are tried
+LIKELY = 24  # candidates of which pairs are tried
 CROWDED = 4  # effects up to which pairs are tried at all
 DRAWS = 400  # simulated residuals from which the number of independent looks is judged
 SCALE_LEVEL = 0.002  # at which the stated noise is given up for the one that is left over
@@ -173,9 +173,9 @@ def _near(effects: list[int], visible: Sequence[int]) -> list[list[int]]:
 def _far(
     model: Subsets, effects: list[int], visible: Sequence[int], blunders: list[int], scale: float
 ) -> list[list[int]]:
-    """Sets in which one or two effects are replaced by two: forward steps do not come by them."""
+    """Sets in which one to three effects are replaced by two: forward steps do not come by them."""
     trials: list[list[int]] = []
-    for count in (1, 2) if len(effects) <= CROWDED else ():
+    for count in (1, 2, 3) if len(effects) <= CROWDED else ():
         for out in combinations(effects, count):
             rest = [e for e in effects if e not in out]
             fresh = [new for new in visible if new not in effects or new in out]
