@@ -243,6 +243,29 @@ def _with_memory(problem: Problem, correlation: float) -> dict[str, Any]:
     return result
 
 
+def figure_of_table_2() -> Any:
+    """Residuals of table 2 along both lines, start free, with polynomials of degree 4 in the travel."""
+    from matplotlib.figure import Figure
+
+    problem = experiment("d", FreeStart(base_point_published.ZERO_POINT))
+    observed, residual = problem.observations[0], solve(problem).residuals
+    line, travel = observed.covariates["line"], np.asarray(observed.covariates["travel"], float) / mm
+    left = residual[observed.group][:, 0] / um
+    figure = Figure(figsize=(7.5, 2.9), layout="constrained")
+    axes = figure.subplots(1, 2, sharey=True)
+    for ax, name in zip(axes, "XY", strict=True):
+        on = line == name
+        fine = np.linspace(travel[on].min(), travel[on].max(), 200)
+        shape = np.polynomial.Legendre.fit(travel[on], left[on], 4)
+        ax.axhline(0, color="0.8", linewidth=0.8)
+        ax.plot(fine, shape(fine), color="tab:orange", linewidth=1.2, label="degree 4")
+        ax.plot(travel[on], left[on], "o", color="tab:blue", markersize=4, label="residual")
+        ax.set(xlabel=f"travel on line {name} / mm", title=f"line {name}")
+    axes[0].set_ylabel("residual, start free / um")
+    axes[1].legend(frameon=False)
+    return figure
+
+
 # --- output -----------------------------------------------------------------------------------------------------------
 
 
@@ -260,12 +283,14 @@ def table(rows: list[dict[str, Any]]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results")
+    parser.add_argument("--docs", type=Path, default=Path(__file__).parents[1] / "docs")
     chosen = parser.parse_args()
     rows = [said(case) for case in every_case()]
     study = correlation_of_table_2()
     (chosen.out / "discrepancy_papers.json").write_text(
         json.dumps({"tables": rows, "base point, table 2": study}, indent=1, default=float) + "\n", encoding="utf-8")
     (chosen.out / "discrepancy_papers.md").write_text(table(rows), encoding="utf-8")
+    figure_of_table_2().savefig(chosen.docs / "discrepancy_papers_base_point.svg", metadata={"Date": None})
     print(table(rows))
     for r in rows:
         print(f"{r['paper']}, {r['table']}: {r['sentence']}")

@@ -17,6 +17,8 @@ from calib.workflow.discrepancy.shown import Shown
 
 MAPPED = 10  # candidates of the alias map
 CLASSES = 12  # of the values of a covariate
+COLOURS = 4  # values of what colours the points
+PARTED = 1.2  # by how much better an effect must show where points are coloured by a covariate
 SHOWN_IN = {"rad": "deg", "m": "mm", "s": "min"}
 
 
@@ -48,8 +50,8 @@ def pictures(shown: Shown, count: int) -> list[Picture]:
     lines = {c.name: c for c in channels(shown.fit, found.before.problem)}
     before, after = shown.fit.rows[1], _whitened(found, shown.fit.rows[1])
     drawn: dict[tuple[str, str], Picture] = {}
-    for channel, label, x, unit in _betraying(shown, list(lines.values())):
-        drawn.setdefault((channel.name, label), _picture(channel, label, x, unit, before, after))
+    for channel, label, x, unit, added in _betraying(shown, list(lines.values())):
+        drawn.setdefault((channel.name, label), _picture(channel, label, x, unit, before, after, added))
     wanted = [(p.channel.split(", ")[0], p.covariate) for p in (*found.structure, *found.where)]
     if not wanted and not drawn:
         wanted = [(name, covariate) for name, channel in lines.items() for covariate in _numeric(channel)][:1]
@@ -61,9 +63,9 @@ def pictures(shown: Shown, count: int) -> list[Picture]:
     return list(drawn.values())[:count]
 
 
-def _betraying(shown: Shown, lines: Sequence[Channel]) -> Iterator[tuple[Channel, str, Array, str]]:
-    """(channel, label, x, unit) for each named effect: the channel that it changes most, against what drives it, or
-    where that was not recorded against what it adds to the readings beside the unknowns [u]."""
+def _betraying(shown: Shown, lines: Sequence[Channel]) -> Iterator[tuple[Channel, str, Array, str, Array]]:
+    """(channel, label, x, unit, what it adds there [u]) for each named effect: the channel that it changes most,
+    against what drives it, or where that was not recorded against what it adds to the readings beside the unknowns."""
     place = {c.label: i for i, c in enumerate(shown.chosen)}
     for one in shown.found.effects:
         number = place.get(f"{one.name} ({one.channel})")
@@ -75,9 +77,10 @@ def _betraying(shown: Shown, lines: Sequence[Channel]) -> Iterator[tuple[Channel
         drivers = [name for name in shown.chosen[number].effect.inputs if name in _numeric(channel)]
         if drivers:
             best = max(drivers, key=lambda name: _followed(added[channel.places], channel.covariates[name]))
-            yield channel, best, channel.covariates[best], channel.units.get(best, "1")
+            x, unit = channel.covariates[best], channel.units.get(best, "1")
         else:
-            yield channel, f"what {one.name} ({one.channel}) adds beside the unknowns / u", added[channel.places], "1"
+            best, x, unit = f"what {one.name} ({one.channel}) adds beside the unknowns / u", added[channel.places], "1"
+        yield channel, best, x, unit, added[channel.places]
 
 
 def _followed(signal: Array, values: Array) -> float:
@@ -107,18 +110,30 @@ def _whitened(found: Explanation, before: Array) -> Array:
     return linearise(whole, values).rows[1]
 
 
-def _picture(channel: Channel, label: str, values: Array, unit: str, before: Array, after: Array) -> Picture:
+def _picture(
+    channel: Channel, label: str, values: Array, unit: str, before: Array, after: Array, added: Array | None = None
+) -> Picture:
     shown = SHOWN_IN.get(unit, unit)
     x = np.asarray(values, float) / units.factor(shown)
-    text = next((k for k, v in channel.covariates.items() if v.dtype.kind not in "fiub" and 1 < len(set(v)) <= 4), "")
-    way = next((k for k in ("direction", "block") if 1 < len(np.unique(channel.covariates.get(k, [0]))) <= 4), "")
-    key = text or (way if way != label else "")
+    key = _key(channel, label, x, added)
     keys = channel.covariates[key] if key else np.zeros(len(x), dtype=int)
     name = label.replace("_", " ")
     against = name.removesuffix(" / u")
     caption = f"{channel.name}: residual in units of u against {against}; the band holds 95 % of good readings."
     return Picture(x, before[channel.places], after[channel.places], np.asarray(keys), key,
                    name if shown == "1" else f"{name} / {shown}", caption)
+
+
+def _key(channel: Channel, label: str, x: Array, added: Array | None) -> str:
+    """The covariate of a few values that colours the points: the one that parts what an effect adds, else a name."""
+    few = {k: v for k, v in channel.covariates.items() if k != label and 1 < len(np.unique(v)) <= COLOURS}
+    if added is not None and few:
+        parted = {k: sum(_followed(added[v == one], x[v == one]) for one in np.unique(v)) for k, v in few.items()}
+        best = max(parted, key=lambda k: parted[k])
+        if parted[best] > PARTED * _followed(added, x):
+            return best
+    named = [k for k, v in few.items() if v.dtype.kind not in "fiub"]
+    return next(iter([*named, *(k for k in ("direction", "block") if k in few)]), "")
 
 
 def separation(shown: Shown) -> Separation | None:
