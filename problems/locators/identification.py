@@ -15,8 +15,23 @@ import numpy as np
 from casadi import vertcat
 from numpy.typing import NDArray
 
-from calib import Effect, Estimate, Linearisation, Observations, Parameter, Problem, Shared, prior, solve, units
+from calib import (
+    Effect,
+    Estimate,
+    Linearisation,
+    Observations,
+    Parameter,
+    Pose,
+    Problem,
+    Quantity,
+    Shared,
+    linearise,
+    prior,
+    solve,
+    units,
+)
 from calib.geometry import Transform, cross
+from calib.linearisation import Functions
 from calib.units import arcsec, mm, um
 from problems.locators.measured import Readings, Setup, declare, rigid_fit
 from problems.locators.vocabulary import axis_group, error_functions
@@ -211,6 +226,45 @@ def unseen(fit: Linearisation) -> tuple[str, ...]:
     size = np.linalg.norm(fit.rows[0].toarray(), axis=0)
     return tuple(fit.layout.label(int(c)) for c, length in zip(fit.layout.free_columns, size, strict=True)
                  if length == 0.0)
+
+
+def pose_error_to_come(fit: Linearisation, setup: Setup, axes: Readings, u_axis: float) -> Functions:
+    """What the uncertainty of identified errors does to poses that axes alone will give: a criterion for the choice of
+    identification poses.
+
+    fit: linearisation of a campaign of `with_knowledge`; setup; axes: readings of the poses in question, as measured or
+    as planned; u_axis [m]. The squares of the uncertainties of these functions add up to the mean square distance [m]
+    of the targets from where they would be with the true errors, one common rigid motion of the hall removed.
+    """
+    points = np.array(list(setup.targets.values()), dtype=float)
+    functions = tuple(e for e in fit.effects if e.parameters[0].name == "constant")
+    plain = declare(setup, axes, None, u_axis=u_axis)
+    part = next(u for u in plain.unknowns if u.name == "part")
+    assert isinstance(part, Pose)
+    where = Quantity("target", target_in_hall, part[np.repeat(np.arange(part.count), len(points))],
+                     np.tile(points, (part.count, 1)), unit="um", parts=("x", "y", "z"))
+    later = linearise(plain.with_quantities(where).with_effects(*functions))
+    columns = np.concatenate([np.arange(later.layout.size)[later.layout.span(later.effects[e])] for e in functions])
+    rows = later.rows[0]
+    # Axes read the pose by least squares, so an error of the axes turns into one of the pose.
+    follows = -later.factor.solve(rows.T @ later.held_columns(columns))
+    seen = later.results[where]
+    moved = later.free_part(seen.derivatives) @ follows
+    place = seen.values.reshape(-1, 3)
+    rigid = np.concatenate([np.tile(np.eye(3), (len(place), 1)),
+                            np.concatenate([np.cross(np.eye(3), one).T for one in place])], axis=1)
+    basis = np.linalg.qr(rigid)[0]
+    corner = np.linalg.qr((moved - basis @ (basis.T @ moved)) / np.sqrt(len(place)), mode="r")
+    derivatives = np.zeros((len(corner), fit.layout.size))
+    here = np.concatenate([np.arange(fit.layout.size)[fit.layout.span(fit.effects[e])] for e in functions])
+    derivatives[:, here] = corner
+    return Functions(tuple(f"pose error to come {k + 1}" for k in range(len(corner))), ("um",) * len(corner),
+                     np.zeros(len(corner)), derivatives)
+
+
+def target_in_hall(part_pose: Transform, in_part: Any) -> Any:
+    """Where a point of the part is in the hall."""
+    return part_pose @ in_part
 
 
 def poses_from_axes(setup: Setup, axes: Readings, u_axis: float,

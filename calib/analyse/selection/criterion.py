@@ -113,7 +113,13 @@ class _OfQuantities:
     def asked(self, fit: Linearisation) -> Functions | None:
         functions = functions_of(fit, *self.what)
         refuse_what_cannot_be_known(fit, functions)
-        return functions
+        # What depends on nothing that is free has no uncertainty that a choice could change.
+        moves = np.flatnonzero(np.any(fit.free_part(functions.derivatives) != 0, axis=1))
+        if not moves.size:
+            raise InputError(f"criterion {self.name}: {', '.join(functions.labels[:3])}"     # type: ignore[attr-defined]
+                             f"{', ...' if len(functions.labels) > 3 else ''} depends on nothing that is free: every "
+                             "choice leaves it as it is; name another quantity, or free what it depends on")
+        return functions if len(moves) == len(functions.labels) else part_of(functions, moves.tolist())
 
     def _matrix(self, candidates: Candidates) -> Any:
         functions = self.asked(candidates.fit)

@@ -210,7 +210,7 @@ class Matrices:
         self.outer = [scale * (term.functions.T @ term.functions) for term in objective.terms]
         self.slack = [m - t * f for m, f in zip(informations, self.outer, strict=True)]
         self.inverse = [inverse_of(s) for s in self.slack]
-        self.loss = max(float(term.loss(m[None])[0]) for term, m in zip(objective.terms, informations, strict=True))
+        self.loss = _largest(objective, informations)
         if duals is None:
             whole = sum(float(np.sum(i * f)) for i, f in zip(self.inverse, self.outer, strict=True))
             duals = [i / whole for i in self.inverse]
@@ -221,8 +221,7 @@ class Matrices:
     @staticmethod
     def begun(objective: Objective, weights: Array, undecided: NDArray[np.int64]) -> Matrices:
         """With t below the value of the criterion, which is scaled to one there."""
-        loss = max(float(term.loss(term.information(weights)[None])[0]) for term in objective.terms)
-        scale = float(np.exp(-loss))
+        scale = float(np.exp(-_largest(objective, [term.information(weights) for term in objective.terms])))
         return Matrices(objective, weights, undecided, float(np.exp(-ROOM)), scale, None)
 
     @property
@@ -269,6 +268,15 @@ class Matrices:
         changes = self._change(move, aim)
         return Matrices(self.objective, weights, self.undecided, self.t + step * move[-1], self.scale,
                         [y + other * d for y, (_, d) in zip(self.duals, changes, strict=True)])
+
+
+def _largest(objective: Objective, informations: Sequence[Array]) -> float:
+    """Logarithm of the largest eigenvalue of all F M^-1 F'."""
+    found = []
+    for term, information in zip(objective.terms, informations, strict=True):
+        covariance = term.functions @ inverse_of(information) @ term.functions.T
+        found.append(float(np.log(np.linalg.eigvalsh(covariance)[-1])))
+    return max(found)
 
 
 def interior(objective: Objective, limits: Limits, weights: Array, undecided: NDArray[np.int64], tolerance: float
@@ -366,7 +374,7 @@ def above(losses: Array, aim: float) -> float:
 
 def largest_step(value: Array, change: Array) -> float:
     """Largest step at which value + step * change stays positive."""
-    falling = change < 0
+    falling = change < -1e-200 * (1.0 + value)      # beyond that a quotient overflows
     return float(np.min(-value[falling] / change[falling], initial=np.inf))
 
 
