@@ -22,8 +22,8 @@ from discrepancy_designs import DESIGNS
 from discrepancy_outcomes import Outcome, outcome
 
 COLUMNS = ("scenario", "hidden", "size", "cases", "alarm", "right_verdict", "effect_named", "exact", "exact_or_alias",
-           "exact_where_separable", "ideal_power", "alias_set_complete", "spurious_aliases", "within_2u",
-           "u_over_informed_u", "gap_shrink_095", "seconds")
+           "exact_where_separable", "ideal_power", "alias_set_complete", "spurious_aliases", "rows_exact",
+           "within_2u", "u_over_informed_u", "gap_shrink_095", "seconds")
 FIRST = 70_000  # seed of the first case; thresholds were chosen looking at smaller ones
 
 
@@ -38,6 +38,7 @@ def kinds(clean: int, cases: int):
         yield "structure", size, cases, lambda sc, seed, size=size: hide_structure(sc, seed, size)
     for kind in NOISES:
         yield f"noise: {kind}", 1.0, cases, lambda sc, seed, kind=kind: hide_noise(sc, seed, kind)
+    yield "effect, blunders", 3.0, cases, lambda sc, seed: hide_effects(sc, seed, 1, 3.0, 2)
     yield "blunders", 6.0, cases, lambda sc, seed: hide_blunders(sc, seed, 6.0)
 
 
@@ -52,8 +53,8 @@ def line(scenario: str, name: str, size: float, found: list[Outcome]) -> list[ob
     figures = [mean(f) for f in ("alarmed", "right", "named", "exact", "or_alias",
                                    "exact_where_separable", "ideal")]
     listed, wrong = (sum(getattr(one, f) for one in found) for f in ("listed_aliases", "spurious_aliases"))
-    figures += [1 - mean("missed_aliases"), wrong / listed if listed else float("nan"), mean("within"), mean("u_ratio"),
-                enough, mean("seconds")]
+    figures += [1 - mean("missed_aliases"), wrong / listed if listed else float("nan"), mean("rows"),
+                mean("within"), mean("u_ratio"), enough, mean("seconds")]
     return [scenario, name, size, len(found), *("" if np.isnan(f) else f"{f:.3f}" for f in figures)]
 
 

@@ -94,8 +94,8 @@ def _net(signal: np.ndarray, raw: np.ndarray) -> float:
     return float(np.sqrt(signal @ signal / max(int(touched.sum()), 1)))
 
 
-def hide_effects(scenario: str, seed: int, count: int, size: float) -> Case:
-    """A case with `count` effects of one size (count 0: clean)."""
+def hide_effects(scenario: str, seed: int, count: int, size: float, blunders: int = 0) -> Case:
+    """A case with `count` effects of one size (count 0: clean), and blunders of 8 to 20 times the noise beside them."""
     g = np.random.default_rng([seed, 77])
     here = stage(_design(scenario, g))
     effects: dict[tuple[str, str], np.ndarray] = {}
@@ -130,9 +130,18 @@ def hide_effects(scenario: str, seed: int, count: int, size: float) -> Case:
         truth[unknown] = values.reshape(np.shape(unknown.show(unknown.ambient)))
     exact = predict(here.plan, truth) if effects else here.exact
     noise = g.standard_normal(len(here.numbers))
+    rows = _blunder(g, here, noise, blunders, 8.0) if blunders else ()
     problem = here.design.build(here.readings(exact, noise))
     return Case(problem, here.design.check, "effects" if effects else "consistent",
-                f"{len(effects)} effects of size {size}" if effects else "clean", effects, (), tuple(labels))
+                f"{len(effects)} effects of size {size}" if effects else "clean", effects, rows, tuple(labels))
+
+
+def _blunder(g: np.random.Generator, here: _Stage, noise: np.ndarray, count: int, size: float) -> tuple[int, ...]:
+    """Put blunders into whitened noise (in place); rows of the file that they fall into."""
+    redundancy = 1 - np.sum(here.basis**2, axis=1)
+    places = g.choice(np.flatnonzero(redundancy > 0.3), count, replace=False)
+    noise[places] += g.choice([-1, 1], count) * g.uniform(size, 2.5 * size, count)
+    return tuple(sorted({int(here.numbers[p]) for p in places}))
 
 
 def hide_structure(scenario: str, seed: int, size: float) -> Case:
@@ -241,9 +250,6 @@ def hide_blunders(scenario: str, seed: int, size: float) -> Case:
     g = np.random.default_rng([seed, 80])
     here = stage(_design(scenario, g))
     noise = g.standard_normal(len(here.numbers))
-    redundancy = 1 - np.sum(here.basis**2, axis=1)
-    places = g.choice(np.flatnonzero(redundancy > 0.3), g.integers(1, 4), replace=False)
-    noise[places] += g.choice([-1, 1], len(places)) * g.uniform(size, 2.5 * size, len(places))
+    rows = _blunder(g, here, noise, int(g.integers(1, 4)), size)
     problem = here.design.build(here.readings(here.exact, noise))
-    rows = tuple(sorted({int(here.numbers[p]) for p in places}))
     return Case(problem, here.design.check, "outliers", f"{len(rows)} blunders", {}, rows)

@@ -32,6 +32,7 @@ class Outcome:
     missed_aliases: float
     listed_aliases: int
     spurious_aliases: int
+    rows: float
     within: float
     u_ratio: float
     shrink: float
@@ -50,6 +51,7 @@ def outcome(case: Case, level: float = 0.01, gap: bool = True) -> Outcome:
     exact = set(mine) == true
     missed = within = ratio = shrink = ideal = separable = np.nan
     listed = spurious = 0
+    rows = float(set(found.outlier_rows) == set(case.rows)) if case.rows else np.nan
     if case.effects:
         estimate = solve(case.problem)
         scene = scene_of(case.problem, estimate, ())
@@ -65,7 +67,7 @@ def outcome(case: Case, level: float = 0.01, gap: bool = True) -> Outcome:
             within, ratio = _parameters(case, mine)
             shrink = _shrink(case, found, estimate)
     return Outcome(found.verdict, found.verdict == case.verdict, found.verdict != "consistent", bool(mine), exact,
-                   or_alias, separable, missed, listed, spurious, within, ratio, shrink, ideal, seconds)
+                   or_alias, separable, missed, listed, spurious, rows, within, ratio, shrink, ideal, seconds)
 
 
 def _aliases(scene, case: Case, places) -> dict[tuple[str, str], set[tuple[str, str]]]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from calib.analyse.score import Field, orthonormal
 from calib.blocks import Array
 from calib.workflow.discrepancy.looks import corrected, corrected_each, effective_looks, smallest_tails, tail, tails
+from calib.workflow.discrepancy.sparse import sparse_sets
 from calib.workflow.discrepancy.subsets import PARAMETER, Subsets
 
 EXPLORE = 0.25  # corrected p-value up to which the search goes on adding, before it drops what is not needed
@@ -173,8 +174,9 @@ def _near(effects: list[int], visible: Sequence[int]) -> list[list[int]]:
 def _far(
     model: Subsets, effects: list[int], visible: Sequence[int], blunders: list[int], scale: float
 ) -> list[list[int]]:
-    """Sets in which one to three effects are replaced by two: forward steps do not come by them."""
-    trials: list[list[int]] = []
+    """Sets in which one to three effects are replaced by two, and those of a sparse convex program: forward steps do
+    not come by them."""
+    trials = sparse_sets(model.products(blunders), MOST_EFFECTS) if len(effects) > 1 else []
     for count in (1, 2, 3) if len(effects) <= CROWDED else ():
         for out in combinations(effects, count):
             rest = [e for e in effects if e not in out]
