@@ -64,26 +64,28 @@ def html(case: str, shown: Shown, provenance: Provenance) -> str:
 
 
 def _effects(found: Explanation) -> Grid | None:
-    rows = []
+    rows: list[list[str | Cell]] = []
     for one in found.effects:
         alias = ", ".join(f"{name} ({channel})" for name, channel in one.aliases) or "none"
         for name, (value, u, unit) in in_case_units(one).items():
             shown, its_u = numbers.with_uncertainty(value, u)
             rows.append([f"{one.name} ({one.channel})", name, shown, its_u, unit, numbers.probability(one.p_value),
-                         alias, one.plausibility])
+                         alias, Cell(one.plausibility, "prose") if one.plausibility else ""])
     header = ["effect", "parameter", "value", "u", "unit", "p(absent)", "cannot be told from", "size"]
     return Grid(header, rows).without_empty() if rows else None
 
 
 def _gap(shown: Shown) -> Grid:
-    """The gap of all readings, then of every group: root mean square, variance factor, held-out readings."""
+    """The gap of all readings, then of every part: root mean square, variance factor, held-out readings."""
     found = shown.found
     rows = [_gap_row("all readings", sum(g.readings for g in shown.gaps), found.rms, shown.variance_factor,
                      found.heldout_rms)]
     if len(shown.gaps) > 1:
         rows += [_gap_row(g.group, g.readings, g.rms, g.variance_factor, g.heldout) for g in shown.gaps[:LISTED]]
-    header = ["", "readings", "rms of r/u before", "after", "variance factor before", "after"]
-    return Grid([*header, "rms on held-out readings before", "after"], rows)
+    names = ("rms of r/u", "variance factor", "rms on held-out readings")
+    if found.after is found.before:
+        return Grid(["", "readings", *names], [row[:3] + row[4:5] + row[6:7] for row in rows])
+    return Grid(["", "readings", *(text for name in names for text in (f"{name} before", "after"))], rows)
 
 
 def _gap_row(name: str, readings: int, *pairs: tuple[float, float] | None) -> list[str]:
@@ -116,8 +118,11 @@ def _detectable(shown: Shown) -> Grid | None:
 def _before_and_after(one: Picture) -> Figure:
     figure, whole = plots.canvas(2.9)
     whole.remove()
-    axes = figure.subplots(1, 2, sharey=True)
-    for ax, residual, title in zip(axes, (one.before, one.after), ("before", "after"), strict=True):
+    panels = [(one.before, "before"), (one.after, "after")]
+    if np.array_equal(one.before, one.after):
+        panels = [(one.before, "as the nominal model leaves them")]
+    axes = np.atleast_1d(figure.subplots(1, len(panels), sharey=True))
+    for ax, (residual, title) in zip(axes, panels, strict=True):
         plots.style(ax)
         ax.axhspan(-1.96, 1.96, color=plots.FAINT, alpha=0.25, linewidth=0)
         step = max(1, -(-len(one.x) // plots.DRAWN))
@@ -137,7 +142,7 @@ def _before_and_after(one: Picture) -> Figure:
     for ax in axes:
         ax.set_ylim(-reach, reach)
     if 1 < len(set(one.keys.tolist())) <= 4:
-        axes[1].legend(frameon=False, labelcolor=plots.INK, fontsize=8, ncols=4, loc="lower right",
+        axes[-1].legend(frameon=False, labelcolor=plots.INK, fontsize=8, ncols=4, loc="lower right",
                        bbox_to_anchor=(1, 1), borderaxespad=0, columnspacing=0.7, handletextpad=0.1)
     return figure
 

@@ -42,8 +42,8 @@ class Moved:
 
     @property
     def in_u(self) -> float:
-        """Change in units of the standard uncertainty before; zero where that is zero."""
-        return (self.after[0] - self.before[0]) / self.before[1] if self.before[1] > 0 else 0.0
+        """Change in units of the standard uncertainty before."""
+        return (self.after[0] - self.before[0]) / self.before[1]
 
 
 class Shown:
@@ -108,7 +108,8 @@ class Shown:
         for i, (name, unit) in enumerate(zip(first.names, first.units, strict=True)):
             scale = units.factor(unit)
             pair = [(float(c.values[i] / scale), float(c.u[i] / scale)) for c in (first, second)]
-            shown.append(Moved(name, unit, *pair))
+            if pair[0][1] > 0:  # what is held moves nowhere
+                shown.append(Moved(name, unit, *pair))
         return tuple(shown)
 
 
