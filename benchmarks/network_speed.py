@@ -24,21 +24,25 @@ from problems.network.survey import ADJUSTED
 U_RANGE, U_ANGLE = 10 * um, 1.0 * arcsec
 
 
-def network(stations: int, points: int, seed: int) -> Problem:
-    """Every tracker sees every point of a hall of 20 m; readings simulated, the first tracker is the frame."""
+def network(stations: int, points: int, seed: int, each: int | None = None) -> Problem:
+    """Trackers and points in a hall of 20 m; readings simulated, the first tracker is the frame.
+
+    each: how many trackers see a point, drawn for every point; all of them where it is not given.
+    """
     generator = np.random.default_rng(seed)
     places = generator.uniform([-10, -10, 0], [10, 10, 4], (points, 3))
     keys = [f"P{i}" for i in range(points)]
     where = np.column_stack([generator.uniform(-12, 12, (stations, 2)), np.full(stations, 5.0)])
     turns = generator.uniform(-np.pi, np.pi, stations)
-    station, target = np.repeat([f"S{i}" for i in range(stations)], points), np.tile(keys, stations)
+    i, j = (part.ravel() for part in np.meshgrid(np.arange(stations), np.arange(points), indexing="ij"))
+    if each is not None:
+        rank = np.argsort(np.argsort(generator.random((stations, points)), axis=0), axis=0)
+        i, j = np.nonzero(rank < each)
+    station, target = np.array([f"S{k}" for k in range(stations)])[i], np.array(keys)[j]
     from instruments.laser_tracker import polar_readings
 
-    rough = []
-    for shift, turn in zip(where, turns, strict=True):
-        c, s = np.cos(turn), np.sin(turn)
-        rough.append(polar_readings((places - shift) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]]).T))
-    readings = np.concatenate(rough)
+    away, c, s = (places[j] - where[i]).T, np.cos(turns[i]), np.sin(turns[i])
+    readings = polar_readings(np.stack([c * away[0] + s * away[1], c * away[1] - s * away[0], away[2]], axis=1))
     u = np.column_stack([np.full(len(readings), U_RANGE), U_ANGLE / np.sin(readings[:, 2]),
                          np.full(len(readings), U_ANGLE)])
     survey = Survey({key: Point(tuple(p), ADJUSTED, ADJUSTED) for key, p in zip(keys, places, strict=True)}, [],

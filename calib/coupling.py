@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from calib.blocks import Array, Index
+from calib.compiled import pays, sparse, sparse_loop
 
+THIN = 0.3  # share of a coupling that is there, below which dense products are more work than those that are there
+WORK = 300  # operations for each number in a coupling that a solve and its covariance do
 PART = 1 << 19  # numbers of a dense piece, which then stays in the cache
 
 
@@ -29,9 +32,16 @@ class Coupling:
     def _counts(self) -> Index:
         return np.diff(self.first)
 
+    @property
+    def _compiled(self) -> bool:
+        return pays(WORK, float(self.values.size))
+
     def mapped(self, matrices: Array) -> Coupling:
         """Every block (f, S) multiplied from the left by its matrix of (m, f, f)."""
-        values, counts = np.empty_like(self.values), self._counts
+        values, counts = self._empty(), self._counts
+        if self._compiled:
+            self._run(sparse.mapped, values, half=np.ascontiguousarray(matrices))
+            return Coupling(self.first, self.columns, values, self.others)
         for begin, end in self._runs():
             inside = slice(self.first[begin], self.first[end])
             for k, out in enumerate(values):
@@ -40,6 +50,23 @@ class Coupling:
                     total = total + np.repeat(matrices[begin:end, k, j], counts[begin:end]) * plane[inside]
                 out[inside] = total
         return Coupling(self.first, self.columns, values, self.others)
+
+    def _empty(self) -> Array:
+        """Room for other values: rows as far apart as those that rows are accumulated in."""
+        return np.empty((len(self.values), len(self.columns) + 1))[:, :-1]
+
+    def _run(self, kind: Callable[[int], str], out: Array, **more: Array) -> None:
+        """Run a compiled loop over all blocks."""
+        given = self.values
+        if given.strides != (8 * len(self.columns) + 8, 8):
+            given = self._empty()
+            given[:] = self.values
+        sparse_loop(kind, 0, len(self.first) - 1, self.others, self.first, self.columns, given, out=out, **more)
+
+    @property
+    def _thin(self) -> bool:
+        """Whether looking at what is there is less work than dense products."""
+        return len(self.columns) < THIN * (len(self.first) - 1) * self.others
 
     def _runs(self) -> Iterator[tuple[int, int]]:
         """Ranges of blocks whose dense form is a piece that stays in the cache."""
@@ -87,6 +114,9 @@ class Coupling:
     def square(self) -> Array:
         """The matrix times its transpose, over the others: (S, S)."""
         total = np.zeros((self.others, self.others))
+        if self._thin and self._compiled:
+            self._run(sparse.square, total)
+            return total + np.tril(total, -1).T
         for _, _, piece in self.dense():
             flat = piece.reshape(piece.shape[0] * piece.shape[1], self.others)
             total += flat.T @ flat
@@ -118,7 +148,10 @@ class Coupling:
 
     def sampled(self, symmetric: Array) -> Coupling:
         """Times a symmetric (S, S), where this matrix itself is not zero."""
-        values = np.empty_like(self.values)
+        values = self._empty()
+        if self._thin and self._compiled:
+            self._run(sparse.sampled, values, matrix=np.ascontiguousarray(symmetric))
+            return Coupling(self.first, self.columns, values, self.others)
         for begin, end, piece in self.dense():
             inside, places = slice(self.first[begin], self.first[end]), self._places(begin, end)
             for k, plane in enumerate(piece):

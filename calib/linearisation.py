@@ -19,7 +19,7 @@ from calib.factor import Conditions
 from calib.layout import Layout
 from calib.normal import NormalEquations, sparse_rows
 from calib.observations import Observations, Quantity
-from calib.pattern import Source, pattern_of
+from calib.pattern import Raw, Source, pattern_of
 from calib.problem import Problem
 from calib.system import System, Term
 from calib.uncertainty import Weighting
@@ -45,6 +45,10 @@ class Derivatives(Sequence[Part]):
     def evaluate(self, rows: Index, held_too: bool = True) -> list[Array]:
         """Derivatives (f, dim, c) of chosen rows (c,) with respect to the same arguments."""
         return self._term.evaluate(self._values, rows, held_too)[1]
+
+    def raw(self, residual: Array) -> Raw | None:
+        """What a compiled loop evaluates the rows from, where that pays, with residuals (n, dim)."""
+        return self._term.raw(self._values, residual, given=True)
 
     def __len__(self) -> int:
         return sum(self._term.any_unknown)
@@ -94,7 +98,7 @@ class Group:
         parts = self.parts
         if isinstance(parts, Derivatives):
             return Source(parts.columns(held_too=False), self.weighting.whitening,
-                          lambda rows: (self.residual[rows].T, parts.evaluate(rows, False)))
+                          lambda rows: (self.residual[rows].T, parts.evaluate(rows, False)), parts.raw(self.residual))
         kept = [p for p in parts if free[p.columns].any()]
         return Source(tuple(p.columns for p in kept), self.weighting.whitening,
                       lambda rows: (self.residual[rows].T, [p.jacobian[rows].transpose(2, 1, 0) for p in kept]))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.accumulation import Sums, accumulate_compiled
 from calib.blocks import Array, Block, Index, Mixing
 from calib.coupling import Coupling
 from calib.layout import Layout
@@ -33,15 +34,17 @@ class NormalEquations:
     def of(sources: Sequence[Source], pattern: Pattern) -> NormalEquations:
         """Evaluate and accumulate all rows."""
         m, f, others = len(pattern.inner), pattern.freedom, len(pattern.outer)
-        sums = _Sums(np.zeros((f, f, m)), np.zeros((f, len(pattern.columns) + 1)),
-                     np.zeros((others + 1, others + 1)), np.zeros((f, m)), np.zeros(others + 1))
+        sums = Sums(np.zeros((m, f, f)), np.zeros((f, len(pattern.columns) + 1)),
+                    np.zeros((others + 1, others + 1)), np.zeros((m, f)), np.zeros(others + 1))
         for stream in pattern.streams:
-            _accumulate(sums, sources[stream.source], stream)
-        upper = sums.outer[:others, :others]
-        return NormalEquations(
-            pattern, np.ascontiguousarray(sums.inner.transpose(2, 0, 1)),
-            Coupling(pattern.first, pattern.columns, sums.coupling[:, :-1], others),
-            upper, np.ascontiguousarray(sums.pull_inner.T), sums.pull_outer[:others], sums.objective)
+            source = sources[stream.source]
+            if not accumulate_compiled(sums, source, stream):
+                _accumulate(sums, source, stream)
+        for k in range(f):  # below the diagonal only what compiled loops have added is there
+            sums.inner[:, :k, k] = sums.inner[:, k, :k]
+        return NormalEquations(pattern, sums.inner, Coupling(pattern.first, pattern.columns, sums.coupling[:, :-1],
+                                                             others),
+                               sums.outer[:others, :others], sums.pull_inner, sums.pull_outer[:others], sums.objective)
 
     def _free(self, inner: Array, outer: Array) -> Array:
         whole = np.empty(self.pattern.size)
@@ -66,24 +69,11 @@ class NormalEquations:
         return float(own + 2 * np.vdot(inner, crossed) + outer @ self.outer @ outer)
 
 
-@dataclass
-class _Sums:
-    """What is accumulated, the instances last; the last place of columns takes what is held."""
-
-    inner: Array
-    coupling: Array
-    outer: Array
-    pull_inner: Array
-    pull_outer: Array
-    objective: float = 0.0
-
-
-def _accumulate(sums: _Sums, source: Source, stream: Stream) -> None:
+def _accumulate(sums: Sums, source: Source, stream: Stream) -> None:
     mixing = source.whitening[stream.mixing]
     step = max(1, PIECE // mixing.rows.shape[1])
     outer = [np.zeros((p.rows.shape[1], p.columns.shape[1], len(p.rows))) for p in stream.pairs]
-    pulls: dict[int, Array] = {p.first: np.zeros((p.rows.shape[1], len(p.rows))) for p in stream.pairs
-                               if p.first == p.second}
+    pulls = [np.zeros((p.rows.shape[1], len(p.rows))) for p in stream.pairs if p.first == p.second]
     for begin in range(0, len(stream.blocks), step):
         here = slice(begin, begin + step)
         residual, derivatives = whitened(source, mixing, stream.blocks[here])
@@ -102,22 +92,17 @@ def _accumulate(sums: _Sums, source: Source, stream: Stream) -> None:
                 for cell, pull in zip(pulls[pair.first], np.einsum("adc,dc->ac", outside[pair.first], residual),
                                       strict=True):
                     cell += np.bincount(index, pull, many) if many > 1 else pull.sum()
-    for pair, total in zip(stream.pairs, outer, strict=True):
-        rows, columns = pair.rows[:, :, None], pair.columns[:, None, :]
-        np.add.at(sums.outer, (rows, columns), total.transpose(2, 0, 1))
-        if pair.first == pair.second:
-            np.add.at(sums.pull_outer, pair.rows, pulls[pair.first].T)
-        else:
-            np.add.at(sums.outer, (columns.transpose(0, 2, 1), rows.transpose(0, 2, 1)), total.transpose(2, 1, 0))
+    sums.add_outer(stream, [t.transpose(2, 0, 1) for t in outer], [p.T for p in pulls])
 
 
-def _inside(sums: _Sums, stream: Stream, here: slice, mine: Array, outside: list[Array], residual: Array) -> None:
+def _inside(sums: Sums, stream: Stream, here: slice, mine: Array, outside: list[Array], residual: Array) -> None:
     """Add products with the eliminated columns, derivatives mine (f, d, c), of some blocks of a stream."""
     owner, places = stream.owner[here], stream.places[:, here]
     starts = np.flatnonzero(np.diff(owner, prepend=-1))
     met = owner[starts]
-    sums.inner[:, :, met] += np.add.reduceat(np.einsum("kdc,ldc->klc", mine, mine), starts, axis=2)
-    sums.pull_inner[:, met] += np.add.reduceat(np.einsum("kdc,dc->kc", mine, residual), starts, axis=1)
+    square = np.add.reduceat(np.einsum("kdc,ldc->klc", mine, mine), starts, axis=2)
+    sums.inner[met] += square.transpose(2, 0, 1)
+    sums.pull_inner[met] += np.add.reduceat(np.einsum("kdc,dc->kc", mine, residual), starts, axis=1).T
     if outside:
         crossed = np.einsum("kdc,odc->koc", mine, np.concatenate(outside))
         for plane, products in zip(sums.coupling, crossed, strict=True):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from calib.blocks import Array, Index, Mixing
 from calib.layout import Layout
+from calib.rows import Program
 from calib.unknown import Unknown
 
 Places = NDArray[np.int32]
@@ -35,16 +36,32 @@ def _distinct(keys: Index) -> Index:
 
 
 @dataclass(frozen=True)
+class Raw:
+    """What a compiled loop reads to evaluate rows by itself.
+
+    program; feeds: for each argument its numbers (one, of every instance, or of every row) and the instances (n,) of
+    the rows where it is an unknown of several; readings (n, dim), or the residuals where `given`; periods of each.
+    """
+
+    program: Program
+    feeds: tuple[tuple[Array, Index | None], ...]
+    readings: Array
+    given: bool
+    periods: tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
 class Source:
     """Rows of one group of readings, as normal equations take them.
 
     columns: (n, f) of each argument; whitening; evaluate: of chosen rows (c,) the residuals (dim, c) and for each
-    argument the derivatives (f, dim, c).
+    argument the derivatives (f, dim, c); raw: where a compiled loop pays.
     """
 
     columns: tuple[Index, ...]
     whitening: tuple[Mixing, ...]
     evaluate: Callable[[Index], tuple[Array, list[Array]]]
+    raw: Raw | None = None
 
 
 @dataclass(frozen=True)
@@ -169,15 +186,22 @@ class Pattern:
                 within = self._within[touched[j][a][stream.blocks]].T
                 begin = self._begin[np.searchsorted(self._met, key)]
                 places.append(np.where(within >= 0, begin + within, dump).astype(np.int32))
-        every = np.concatenate(places) if places else np.zeros((0, len(stream.blocks)), dtype=np.int32)
+        every = np.ascontiguousarray(np.concatenate(places)) if places else np.zeros((0, len(stream.blocks)), np.int32)
         kept = every[every < dump]
         alone = not kept.size or bool(np.bincount(kept).max() <= 1)
         pairs, many = [], len(self._width)
         for s, (j, a) in enumerate(stream.outside):
             for t, (k, b) in enumerate(stream.outside[s:], s):
                 rows, columns = touched[j][a][stream.blocks], touched[k][b][stream.blocks]
-                key = self._unit[rows[:, 0]] * many + self._unit[columns[:, 0]]
-                _, chosen, index = np.unique(key, return_index=True, return_inverse=True)
+                units = self._unit[rows[:, 0]]
+                if s == t:  # no need to sort: there are not many units
+                    chosen = np.full(many, -1)
+                    chosen[units] = np.arange(len(units))
+                    index = (np.cumsum(chosen >= 0) - 1)[units]
+                    chosen = chosen[chosen >= 0]
+                else:
+                    _, chosen, index = np.unique(units * many + self._unit[columns[:, 0]], return_index=True,
+                                                 return_inverse=True)
                 pairs.append(Pair(s, t, index.ravel().astype(np.int32), self._slot[rows[chosen]],
                                   self._slot[columns[chosen]]))
         return Stream(stream.source, stream.mixing, stream.blocks, stream.inside, stream.outside, stream.owner, every,

@@ -121,8 +121,8 @@ class Program:
         function = ca.Function("rows", list(inputs), [output])
         self.inputs, self.outputs = sum(i.shape[0] for i in inputs), output.shape[0]
         self._work = function.sz_w()
-        self._instructions = instructions_of(function)
-        self._steps = [_step(instruction) for instruction in self._instructions]
+        self.instructions = tuple(instructions_of(function))
+        self._steps = [_step(instruction) for instruction in self.instructions]
 
     def __len__(self) -> int:
         return len(self._steps)
@@ -137,7 +137,7 @@ class Program:
     @cached_property
     def compiled(self) -> CompiledRows:
         """The same instructions, compiled."""
-        return CompiledRows(self._instructions, self.outputs)
+        return CompiledRows(self.instructions, self.outputs)
 
     def run(self, inputs: Sequence[Any], n: int, compiled: bool) -> Array:
         """Outputs (outputs, n), by the back end that the caller has chosen for all its calls."""

@@ -14,7 +14,7 @@ from calib.blocks import Array, Block, Index, Part
 from calib.errors import CalibrationError, ModelBreakdown
 from calib.layout import Layout
 from calib.observations import BoundModel, Constraint, Observations, Quantity
-from calib.pattern import Source, pieces
+from calib.pattern import Raw, Source, pieces
 from calib.problem import Problem
 from calib.trace import Traced, numeric_covariates, trace
 from calib.uncertainty import Weighting
@@ -75,6 +75,22 @@ class Term(Generic[B]):
         # Compiled or not is decided for all rows, so that a piece has the digits of the whole.
         result = program.run(self._inputs(values, rows), len(rows), program.pays(self.n))
         return result[: self.dim], self._split(result, wanted)
+
+    def raw(self, values: Values, readings: Array, given: bool, held_too: bool = False) -> Raw | None:
+        """What a compiled loop evaluates the rows from, where that pays; given: whether readings are residuals."""
+        program = self.traced.program(self.wanted(held_too))
+        if not program.pays(self.n):
+            return None
+        feeds = tuple((np.ascontiguousarray(f.data), None) if f.unknown is None
+                      else (np.ascontiguousarray(values[f.unknown]), f.index if f.unknown.count > 1 else None)
+                      for f in self.feeds)
+        return Raw(program, feeds, np.ascontiguousarray(readings), given, self.periods)
+
+    @cached_property
+    def periods(self) -> tuple[float | None, ...]:
+        """Period of each component of the readings, None where it has none."""
+        period: Any = getattr(self.bound, "period", None)
+        return (period,) * self.dim if np.ndim(period) == 0 else tuple(period)
 
     def _split(self, result: Array, wanted: tuple[bool, ...]) -> list[Array]:
         freedom = [s.freedom for s, want in zip(self.traced.sources, wanted, strict=True) if want]
@@ -220,13 +236,9 @@ class System:
         if observations.readings is None:
             return np.zeros_like(predicted)
         residual = observations.readings[rows] - predicted
-        if observations.period is not None:
-            periods = (
-                [observations.period] * term.dim if np.ndim(observations.period) == 0 else list(observations.period)
-            )
-            for j, period in enumerate(periods):
-                if period is not None:
-                    residual[:, j] -= period * np.rint(residual[:, j] / period)
+        for j, period in enumerate(term.periods):
+            if period is not None:
+                residual[:, j] -= period * np.rint(residual[:, j] / period)
         bad = np.argwhere(~np.isfinite(residual))
         if len(bad):
             raise ModelBreakdown(
@@ -289,7 +301,9 @@ class System:
             return self.residual(term, predicted.T, rows).T, derivatives
 
         columns = tuple(c for c, free in zip(term.columns, term.any_free, strict=True) if free)
-        return Source(columns, weighting.whitening, evaluate)
+        readings = term.bound.readings
+        raw = term.raw(values, np.zeros((term.n, term.dim)) if readings is None else readings, readings is None)
+        return Source(columns, weighting.whitening, evaluate, raw)
 
     # --- conditions and results -----------------------------------------------------------------------------------
 

@@ -5,8 +5,22 @@ import numpy as np
 import pytest
 from declared import network
 
-from calib import Constraint, Gaussian, Observations, elimination, estimability, linearise, prior, reliability
+from calib import (
+    Constraint,
+    Gaussian,
+    Observations,
+    compiled,
+    coupling,
+    elimination,
+    estimability,
+    linearise,
+    prior,
+    reliability,
+    solve,
+)
+from calib.compiled import available, row_back_end
 from calib.elimination import EliminatedFactor
+from calib.errors import ModelBreakdown
 from calib.factor import DenseFactor
 from calib.linearisation import linearise as linearise_problem
 
@@ -31,9 +45,8 @@ def lengths(point, first, second, u=1e-5):
 CASES = {
     "bars between points": lambda p, s, q: p.with_observations(lengths(q, np.array([1, 4, 4, 9]),
                                                                        np.array([4, 7, 9, 2]))),
-    "points as stations": lambda p, s, q: p.with_observations(lengths(q, np.repeat([3, 8], 12),
-                                                                      np.array([*range(3), *range(4, 8), *range(9, 14)] * 2))
-                                                              ).hold(q[8]),
+    "points as stations": lambda p, s, q: p.with_observations(lengths(
+        q, np.repeat([3, 8], 12), np.array([*range(3), *range(4, 8), *range(9, 14)] * 2))).hold(q[8]),
     "correlated readings of two points": lambda p, s, q: p.with_observations(lengths(
         q, np.array([0, 5, 6, 11]), np.array([1, 2, 3, 4]),
         Gaussian.groups(["A", "A", "B", "B"], {k: 1e-10 * np.array([[1, 0.6], [0.6, 1]]) for k in "AB"}))),
@@ -111,3 +124,47 @@ def test_points_seen_by_nobody_are_found_when_eliminated(monkeypatch):
     assert dense.factor.defect == eliminated.factor.defect == 0 or "point[5]" in " ".join(
         estimability(eliminated).directions
     )
+
+
+@pytest.mark.skipif(not available(), reason="llvmlite is not installed")
+@pytest.mark.parametrize("case", CASES)
+def test_compiled_loops_give_the_factor_of_numpy(case, monkeypatch, tmp_path):
+    monkeypatch.setenv("CALIB_CACHE", str(tmp_path))
+    monkeypatch.setattr(elimination, "DENSE_SIZE", 1)
+    monkeypatch.setattr(coupling, "THIN", 2.0)  # so that sparse products are compiled too
+    problem = CASES[case](*network(4, 15, 1))
+    found = {}
+    for name in ("numpy", "compiled"):
+        with row_back_end(name):
+            fit = linearise(problem)
+            found[name] = [fit.factor.matrix, fit.factor.step, fit.pull, reliability(fit).redundancy, solve(problem)]
+    for one, other in zip(found["numpy"][:4], found["compiled"][:4], strict=True):
+        assert np.abs(one - other).max() <= 1e-9 * np.abs(one).max()
+    one, other = found["numpy"][4], found["compiled"][4]
+    assert other.certificate.passed
+    assert other.objective == pytest.approx(one.objective, rel=1e-9)
+
+
+@pytest.mark.skipif(not available(), reason="llvmlite is not installed")
+def test_threads_change_nothing_but_the_order_of_sums(monkeypatch, tmp_path):
+    monkeypatch.setenv("CALIB_CACHE", str(tmp_path))
+    monkeypatch.setattr(elimination, "DENSE_SIZE", 1)
+    monkeypatch.setattr(compiled, "THREAD_WORK", 1e3)
+    problem = CASES["bars between points"](*network(4, 40, 5))
+    steps = []
+    for count in ("1", "3"):
+        monkeypatch.setenv("CALIB_THREADS", count)
+        with row_back_end("compiled"):
+            steps.append(linearise(problem).factor.step)
+    assert np.abs(steps[0] - steps[1]).max() <= 1e-10 * np.abs(steps[0]).max()
+
+
+@pytest.mark.skipif(not available(), reason="llvmlite is not installed")
+def test_a_row_that_breaks_down_is_named_by_compiled_loops_too(monkeypatch):
+    monkeypatch.setattr(elimination, "DENSE_SIZE", 1)
+    problem, _, point = network(4, 15, 6)
+    place = point.ambient[3]
+    broken = Observations(lambda p: ca.sqrt(p[0] - (place[0] + 1.0)), point[np.array([3, 4])], readings=[1.0, 1.0],
+                          u=0.1, group="roots", rows=[17, 18])
+    with row_back_end("compiled"), pytest.raises(ModelBreakdown, match="'roots', row 17"):
+        solve(problem.with_observations(broken))

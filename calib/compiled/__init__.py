@@ -9,23 +9,29 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.compiled import sparse
+from calib.compiled.fused import POINTERS, Shape
 from calib.compiled.intermediate import Instruction
 from calib.errors import CalibrationError
 
 if TYPE_CHECKING:
     from concurrent.futures import ThreadPoolExecutor
 
-__all__ = ["CompiledRows", "Instruction", "available", "pays", "row_back_end", "threads"]
+    from calib.compiled.machine import Compiler
+
+__all__ = ["CompiledRows", "Instruction", "Shape", "available", "fused_rows", "parts_of", "pays", "row_back_end",
+           "run_side_by_side", "sparse", "sparse_loop", "threads"]
 
 Array = NDArray[Any]
+T = TypeVar("T")
 SPENT = 4.0e8  # scalar operations that NumPy does while the compiler is loaded
 SPENT_EACH = 1.0e5  # rows that NumPy does while one instruction is compiled
 THREAD_WORK = 4.0e6  # scalar operations that are worth a thread of their own
@@ -95,12 +101,7 @@ class CompiledRows:
     """
 
     def __init__(self, instructions: Sequence[Instruction], outputs: int):
-        from calib.compiled.machine import compiler
-
-        here = compiler()
-        if here is None:
-            raise CalibrationError("rows cannot be compiled: llvmlite is not installed or does not know this machine.")
-        self._compiler = here  # whose memory holds the code
+        self._compiler = here = _compiler()  # whose memory holds the code
         self._kernel, self._lanes = here.kernel(instructions), here.lanes
         self._size, self._outputs = len(instructions), outputs
 
@@ -136,6 +137,80 @@ class CompiledRows:
             ends[-1] = n
             list(_pool().map(run, ends[:-1].tolist(), ends[1:].tolist()))
         return result
+
+
+@lru_cache(maxsize=64)
+def fused_rows(shape: Shape) -> FusedRows:
+    """The compiled loop of a shape, written once."""
+    return FusedRows(shape)
+
+
+class FusedRows:
+    """A compiled loop over rows that adds their products to normal equations; safe to call from several threads.
+
+    shape: what it is written for. Raises CalibrationError where rows cannot be compiled here.
+    """
+
+    def __init__(self, shape: Shape):
+        self._compiler = _compiler()  # whose memory holds the code
+        self._loop = self._compiler.loop(shape)
+
+    def __call__(self, count: int, far: int, wide: int, arrays: Mapping[str, Array | Sequence[Array | None]]) -> None:
+        """Add `count` rows; arrays: for each of POINTERS an array, or several, contiguous in their rows."""
+        kept, places = [], []
+        for name in POINTERS:
+            given = arrays[name]
+            if not isinstance(given, np.ndarray):
+                given = np.array([0 if a is None else _address(a) for a in given] or [0], dtype=np.uint64)
+                kept.append(given)
+            places.append(_address(given))
+        self._loop(count, far, wide, *places)
+
+
+@lru_cache(maxsize=64)
+def _sparse(kind: Callable[[int], str], freedom: int) -> tuple[Compiler, Callable[..., None]]:
+    here = _compiler()
+    return here, here.sparse(kind, freedom)
+
+
+def sparse_loop(kind: Callable[[int], str], begin: int, end: int, others: int, first: Array, columns: Array,
+                values: Array, out: Array, half: Array | None = None, matrix: Array | None = None) -> None:
+    """Run a loop of calib.compiled.sparse over the blocks from begin to end; the arrays are those of a Coupling."""
+    _, run = _sparse(kind, len(values))
+    pointers = [0 if a is None else _address(a) for a in (first, columns, half, values, matrix, out)]
+    run(begin, end, values.strides[0] // 8, others, *pointers)
+
+
+def _address(array: Array) -> int:
+    return int(array.__array_interface__["data"][0])
+
+
+def _compiler() -> Compiler:
+    from calib.compiled.machine import compiler
+
+    here = compiler()
+    if here is None:
+        raise CalibrationError("rows cannot be compiled: llvmlite is not installed or does not know this machine.")
+    return here
+
+
+def parts_of(rows: int, instructions: int, owner: Array) -> list[int]:
+    """Ends of the parts of rows that threads take, the first 0; owner: no part ends between two rows of one."""
+    many = min(threads(), int(rows * instructions / THREAD_WORK))
+    if many <= 1 or threading.current_thread() is not threading.main_thread():
+        return [0, rows]
+    ends = np.linspace(0, rows, many + 1).astype(int)[1:-1]
+    if len(owner):
+        ends = np.searchsorted(owner, owner[ends])
+    return [0, *np.unique(ends[(ends > 0) & (ends < rows)]).tolist(), rows]
+
+
+def run_side_by_side(run: Callable[[T], None], shares: Sequence[T]) -> None:
+    """Run shares of work, each in a thread where there are several."""
+    if len(shares) == 1:
+        run(shares[0])
+    else:
+        list(_pool().map(run, shares))
 
 
 @cache

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,10 +31,12 @@ LIBRARY = {
                                        "remainder", "atan2", "hypot")},
     "CONSTPOW": "pow",
 }
+ATTRIBUTES = """attributes #0 = { nounwind }
+attributes #1 = { nounwind willreturn memory(none) }"""
 _TWO = {"pow", "fmod", "remainder", "atan2", "hypot"}
 
 
-class _Writer:
+class Writer:
     """LLVM IR of straight-line code on vectors of rows."""
 
     def __init__(self, lanes: int):
@@ -120,6 +122,20 @@ class _Writer:
             return self.choose(self.compare("oeq", a, zero), zero, signed)
         raise NotImplementedError(f"CasADi operation {name} is not known to the compiled back end")
 
+    def run(self, instructions: Sequence[Instruction], load: Callable[[int], str], store: Callable[[int, str], None]
+            ) -> None:
+        """Write instructions; load: value of a scalar input; store: takes the value of a scalar output."""
+        slots: dict[int, str] = {}
+        for step in instructions:
+            if step.name == "CONST":
+                slots[step.out] = self.constant(step.value)
+            elif step.name == "INPUT":
+                slots[step.out] = load(step.first)
+            elif step.name == "OUTPUT":
+                store(step.out, slots[step.first])
+            else:
+                slots[step.out] = self.operation(step.name, slots[step.first], slots.get(step.second, ""))
+
 
 def intermediate(instructions: Sequence[Instruction], lanes: int) -> str:
     """LLVM IR of `rows(begin, end, inputs, strides, outputs, stride)`, which runs instructions on vectors of rows.
@@ -127,29 +143,27 @@ def intermediate(instructions: Sequence[Instruction], lanes: int) -> str:
     instructions: in order; lanes: rows in a vector, which divides end - begin. inputs: pointers to columns, each with
     stride 1, or 0 for a scalar repeated `lanes` times; outputs: the first output of row 0, `stride` numbers apart.
     """
-    writer, slots = _Writer(lanes), {}
-    for step in instructions:
-        if step.name == "CONST":
-            slots[step.out] = writer.constant(step.value)
-        elif step.name == "INPUT":
-            place = writer.value(f"getelementptr ptr, ptr %inputs, i64 {step.first}")
-            column = writer.value(f"load ptr, ptr {place}, align 8")
-            where = writer.value(f"getelementptr i64, ptr %strides, i64 {step.first}")
-            offset = writer.value(f"mul i64 %row, {writer.value(f'load i64, ptr {where}, align 8')}")
-            first = writer.value(f"getelementptr double, ptr {column}, i64 {offset}")
-            slots[step.out] = writer.value(f"load {writer.type}, ptr {first}, align 8")
-        elif step.name == "OUTPUT":
-            offset = writer.value(f"add i64 %row, {writer.value(f'mul i64 %stride, {step.out}')}")
-            place = writer.value(f"getelementptr double, ptr %outputs, i64 {offset}")
-            writer.lines.append(f"  store {writer.type} {slots[step.first]}, ptr {place}, align 8")
-        else:
-            slots[step.out] = writer.operation(step.name, slots[step.first], slots.get(step.second, ""))
+    writer = Writer(lanes)
+
+    def load(number: int) -> str:
+        place = writer.value(f"getelementptr ptr, ptr %inputs, i64 {number}")
+        column = writer.value(f"load ptr, ptr {place}, align 8")
+        where = writer.value(f"getelementptr i64, ptr %strides, i64 {number}")
+        offset = writer.value(f"mul i64 %row, {writer.value(f'load i64, ptr {where}, align 8')}")
+        first = writer.value(f"getelementptr double, ptr {column}, i64 {offset}")
+        return writer.value(f"load {writer.type}, ptr {first}, align 8")
+
+    def store(number: int, value: str) -> None:
+        offset = writer.value(f"add i64 %row, {writer.value(f'mul i64 %stride, {number}')}")
+        place = writer.value(f"getelementptr double, ptr %outputs, i64 {offset}")
+        writer.lines.append(f"  store {writer.type} {value}, ptr {place}, align 8")
+
+    writer.run(instructions, load, store)
     return "\n".join([
         "define void @rows(i64 %begin, i64 %end, ptr %inputs, ptr %strides, ptr %outputs, i64 %stride) #0 {",
         "entry:", "  br label %head", "head:",
         "  %row = phi i64 [ %begin, %entry ], [ %next, %body ]",
         "  %more = icmp slt i64 %row, %end", "  br i1 %more, label %body, label %done",
         "body:", *writer.lines, f"  %next = add i64 %row, {lanes}", "  br label %head",
-        "done:", "  ret void", "}", *sorted(writer.declared.values()),
-        "attributes #0 = { nounwind }", "attributes #1 = { nounwind willreturn memory(none) }", "",
+        "done:", "  ret void", "}", *sorted(writer.declared.values()), ATTRIBUTES, "",
     ])

@@ -13,7 +13,9 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
+from calib.compiled.fused import POINTERS, Shape, fused
 from calib.compiled.intermediate import LIBRARY, Instruction, intermediate
+from calib.compiled.sparse import ARGUMENTS
 
 FORMAT = b"calib rows 1\n"  # first line of a cached file; the digest of what follows stands behind it
 
@@ -88,19 +90,35 @@ class Compiler:
             symbol = getattr(library, function, None) or getattr(library, f"_{function}")
             binding.add_symbol(function, ctypes.cast(symbol, ctypes.c_void_p).value)
         self._engine = binding.create_mcjit_compiler(binding.parse_assembly(""), self._machine)
-        self._kernels: dict[str, Callable[..., None]] = {}
+        self._addresses: dict[str, int] = {}
         self._lock = threading.Lock()
 
     def kernel(self, instructions: Sequence[Instruction]) -> Callable[..., None]:
         """The compiled function of instructions: from this process, from the cache on disk, or compiled now."""
-        text = intermediate(instructions, self.lanes)
+        whole, pointer = ctypes.c_int64, ctypes.c_void_p
+        return ctypes.CFUNCTYPE(None, whole, whole, pointer, pointer, pointer, whole)(
+            self.address(intermediate(instructions, self.lanes)))
+
+    def loop(self, shape: Shape) -> Callable[..., None]:
+        """The compiled loop that puts products straight into normal equations."""
+        types = [ctypes.c_int64] * 3 + [ctypes.c_void_p] * len(POINTERS)
+        return ctypes.CFUNCTYPE(None, *types)(self.address(fused(shape, self.lanes)))
+
+    def sparse(self, kind: Callable[[int], str], freedom: int) -> Callable[..., None]:
+        """A compiled loop over small blocks, of calib.compiled.sparse."""
+        numbers = 4
+        types = [ctypes.c_int64] * numbers + [ctypes.c_void_p] * (len(ARGUMENTS) - numbers)
+        return ctypes.CFUNCTYPE(None, *types)(self.address(kind(freedom)))
+
+    def address(self, text: str) -> int:
+        """Where the function `rows` of LLVM IR stands, compiled or from a cache."""
         digest = hashlib.sha256(f"{self.identity}\n{text}".encode()).hexdigest()
         with self._lock:
-            if digest not in self._kernels:
-                self._kernels[digest] = self._loaded(text.replace("@rows(", f"@rows_{digest}("), digest)
-            return self._kernels[digest]
+            if digest not in self._addresses:
+                self._addresses[digest] = self._loaded(text.replace("@rows(", f"@rows_{digest}("), digest)
+            return self._addresses[digest]
 
-    def _loaded(self, text: str, digest: str) -> Callable[..., None]:
+    def _loaded(self, text: str, digest: str) -> int:
         folder = cache_folder()
         code = None if folder is None else _kept(folder / f"{digest}.rows")
         if code is None:
@@ -111,9 +129,7 @@ class Compiler:
                 _keep(folder / f"{digest}.rows", code)
         self._engine.add_object_file(self._binding.ObjectFileRef.from_data(code))
         self._engine.finalize_object()
-        address, whole = self._engine.get_function_address(f"rows_{digest}"), ctypes.c_int64
-        pointer = ctypes.c_void_p
-        return ctypes.CFUNCTYPE(None, whole, whole, pointer, pointer, pointer, whole)(address)
+        return int(self._engine.get_function_address(f"rows_{digest}"))
 
 
 @cache
