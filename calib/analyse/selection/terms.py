@@ -17,7 +17,7 @@ from calib.analyse.selection.limits import Limits
 from calib.blocks import Array
 
 SINGULAR = 1e-12      # smallest eigenvalue of the information, of all information together, that counts as seen
-HIDDEN = 1e-10        # share of a function in unseen directions from which on it cannot be known
+HIDDEN = 1e-8         # share of a function in unseen directions from which on it cannot be known
 
 
 @dataclass(frozen=True, eq=False)
