@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -182,3 +183,16 @@ def test_readings_to_points_without_the_coordinate_they_need_take_no_part_and_ar
     one = job(tmp_path, gkf(square(), distances() + up))
     assert "row 7" in network.remarks(one)[0]
     assert solve(network.from_job(one)).dof == 2
+
+
+@pytest.mark.parametrize(("table", "wrong", "words"), [
+    ("slope_distances", "reading_mm", "'slope_distances' are 0.001 times what all others say"),
+    ("height_differences", "reading_mm", "'height_differences' are 0.001 times what all others say"),
+    ("directions", "reading_gon", "'directions' are 0.9 times what all others say")])
+def test_readings_in_another_unit_than_their_column_says_are_named(tmp_path, capsys, table, wrong, words):
+    calib = runner(capsys)
+    assert calib("example", "problems.network", "--out", tmp_path, "--quiet").status == 0
+    path = tmp_path / f"{table}.csv"
+    path.write_text(re.sub("reading_(m|deg)", wrong, path.read_text()))
+    answer = calib("solve", tmp_path / "job.toml")
+    assert words in " ".join((answer.out + answer.error).split())

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib import Problem
+from calib import Linearisation, Problem
 from calib.job import Job
-from problems.network.blunders import advice
+from problems.network.blunders import blunders
 from problems.network.checks import checked, started
 from problems.network.declare import declare, settle
 from problems.network.effects import effects, with_candidates
 from problems.network.example import example, example_job
 from problems.network.figures import result_tables
 from problems.network.gkf import read_gkf
+from problems.network.measures import fitting_unit
 from problems.network.reduction import reduced
 from problems.network.scene import scene
 from problems.network.start import positions
@@ -61,6 +62,15 @@ def from_job(job: Job) -> Problem:
 def remarks(job: Job) -> list[str]:
     """What was left out or taken otherwise than it was written, as sentences."""
     return list(surveyed(job).remarks)
+
+
+def advice(fit: Linearisation) -> list[str]:
+    """What to adjust: readings that do not belong, and a unit that no network fits; the worst first."""
+    found = blunders(fit)
+    own = [survey for _, survey in _latest if {batch.group or batch.kind for batch in survey.batches}
+           <= {group.name for group in fit.groups}]      # a problem need not come from a job
+    unit = fitting_unit(own[0], fit.objective, fit.dof) if found and own else None
+    return [f"{unit[0].upper()}{unit[1:]}."] if unit else found
 
 
 def absent(job: Job) -> set[str]:

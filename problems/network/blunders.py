@@ -10,7 +10,7 @@ LARGEST = 200_000    # scalar readings up to which every report looks for blunde
 CHANCE = 0.001       # that any reading of a network without blunders is named
 
 
-def advice(fit: Linearisation) -> list[str]:
+def blunders(fit: Linearisation) -> list[str]:
     """Sentences about readings whose residual no random error explains, the worst first; at most three.
 
     One blunder disturbs its neighbours: only the worst reading is sure, the others may be right.

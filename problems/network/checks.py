@@ -10,6 +10,7 @@ from calib import predict
 from calib.errors import InputError
 from problems.network.declare import declare_free
 from problems.network.lacking import Lacking
+from problems.network.measures import contradicting_unit
 from problems.network.start import positions
 from problems.network.survey import ADJUSTED, CONSTRAINED, FIXED, Survey
 
@@ -150,7 +151,10 @@ def started(survey: Survey) -> Survey:
         again = positions(replace(survey, points=fresh))
     except InputError:
         return placed
-    if len(_gross(again)) >= len(suspects):
+    left = len(_gross(again))
+    if left > 1 and (sentence := contradicting_unit(survey, _gross, left)):
+        raise InputError(sentence)
+    if left >= len(suspects):
         return placed
     scale = np.nanmax(np.ptp([p.position for p in again.points.values()], axis=0))
     moved = []

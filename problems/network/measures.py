@@ -1,0 +1,68 @@
+"""Readings in another unit than they say: found by the one factor with which everything fits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from calib import solve
+from calib.errors import CalibrationError, InputError
+from problems.network.declare import declare
+from problems.network.start import positions
+from problems.network.survey import FIXED, Batch, Survey
+
+LENGTHS = (1e-3, 1e-2, 0.3048, 1 / 0.3048, 1e2, 1e3)                  # mm, cm, feet for metres, and the other way
+ANGLES = (0.9, 1 / 0.9, np.pi / 180, 180 / np.pi, np.pi / 200, 200 / np.pi)    # gon, degrees, radians for one another
+FITS = 0.25       # of the points that contradict each other may be left
+LARGEST = 3000    # readings up to which a fit that fits nothing is tried again with each unit
+SENSELESS, FAR_BETTER = 1e3, 1e-2      # variance factor of such a fit, and its part that another unit leaves
+
+
+def contradicting_unit(survey: Survey, gross: Callable[[Survey], set[str]], before: int) -> str | None:
+    """A sentence naming the group of readings whose unit contradicts all others, or None.
+
+    survey: whose points start from the readings alone; gross: points of a placed survey that its readings miss grossly;
+    before: their number as the readings stand.
+    """
+    for group, factor, changed in _suspicions(survey):
+        try:
+            left = len(gross(positions(changed)))
+        except InputError:
+            continue
+        if left <= FITS * before:
+            return _sentence(group, factor)
+    return None
+
+
+def fitting_unit(survey: Survey, objective: float, dof: int) -> str | None:
+    """The same for a survey whose adjustment fits nothing (objective: its v'Pv; dof): with one other unit it fits."""
+    readings = sum(len(batch) for batch in survey.every_batch)
+    if dof <= 0 or objective < SENSELESS * dof or readings > LARGEST or survey.sightings or survey.ranging:
+        return None
+    for group, factor, changed in _suspicions(survey):
+        try:
+            if solve(declare(positions(changed))).objective < FAR_BETTER * objective:
+                return _sentence(group, factor)
+        except CalibrationError:
+            continue
+    return None
+
+
+def _sentence(group: Batch, factor: float) -> str:
+    return (f"the readings '{group.group or group.kind}' are {1 / factor:.4g} times what all others say: multiplied by "
+            f"{factor:.4g} they fit; correct the unit of their column")
+
+
+def _suspicions(survey: Survey) -> Iterator[tuple[Batch, float, Survey]]:
+    """Each group of readings with each factor, and the survey with them in that unit, started from its readings."""
+    fresh = {key: replace(point, position=(np.nan,) * 3) if FIXED not in (point.plane, point.height) else point
+             for key, point in survey.points.items()}
+    for batch in survey.batches:
+        if batch.values is None or len(batch) < 3 or batch.model.points == 1:
+            continue
+        for factor in ANGLES if batch.model.angular else LENGTHS:
+            changed = replace(batch, readings=np.asarray(batch.readings, float) * factor)
+            yield batch, factor, replace(survey, points=fresh, batches=[
+                changed if one is batch else one for one in survey.batches])
