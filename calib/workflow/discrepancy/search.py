@@ -28,10 +28,10 @@ SCALE_LEVEL = 0.002  # at which the stated noise is given up for the one that is
 class Shares:
     """How the probability of a false alarm is shared among the kinds of finding."""
 
-    effects: float = 0.55
-    blunders: float = 0.10
-    structure: float = 0.15
-    noise: float = 0.20
+    effects: float = 0.70
+    blunders: float = 0.05
+    structure: float = 0.10
+    noise: float = 0.15
 
 
 @dataclass(frozen=True)
