@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib import geometry
 from calib.blocks import Array
-from calib.effect import positional_of, slots_of
+from calib.effect import direct, positional_of, slots_of
 from calib.errors import DeclarationError
 from calib.frozen import Frozen
 from calib.uncertainty import Gaussian
@@ -200,6 +201,32 @@ class Observations(BoundModel):
         copy = object.__new__(type(self))
         values = None if readings is None else np.array(readings, dtype=float).reshape(self.n, -1)
         copy.__dict__.update(self.__dict__, readings=values, uncertainty=u or self.uncertainty)
+        return copy
+
+    def with_addition(self, coefficients: Unknown, columns: ArrayLike) -> Observations:
+        """The same observations whose prediction gains a sum without physics, for what no effect explains.
+
+        coefficients: one instance of k parts; columns: (n, dim, k), what one of each adds to every prediction.
+        """
+        whole = np.asarray(columns, float)
+        _, dim, k = whole.shape
+        inner, slots = self.model, self.slots
+
+        def added(*arguments: Any, **taps: Any) -> list[Any]:
+            value = inner(*arguments[:-2], **taps)
+            pieces = value if isinstance(value, (list, tuple)) else [value]
+            rows = [p[i] for p in pieces for i in range(p.shape[0])] if dim > 1 else pieces
+            return [rows[i] + sum(arguments[-1][i, j] * arguments[-2][j] for j in range(k)) for i in range(dim)]
+
+        kind, number = inspect.Parameter, len(self.arguments)
+        names = [*(a.name for a in self.arguments), f"{coefficients.name} {number}", f"columns {number}"]
+        added.__name__ = self.model_name
+        signature = [kind(f"a{i}", kind.POSITIONAL_ONLY) for i in range(len(names))]
+        signature += [kind(slot, kind.KEYWORD_ONLY, default=direct) for slot in slots]
+        added.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
+        further = (self._argument(names[-2], coefficients, self.n), self._argument(names[-1], whole, self.n))
+        copy = object.__new__(type(self))
+        copy.__dict__.update(self.__dict__, model=added, arguments=self.arguments + further)
         return copy
 
     def keep(self, keep: NDArray[np.bool_]) -> Observations:

@@ -232,6 +232,11 @@ class Problem(Frozen):
         """Add derived quantities."""
         return self._with(quantities=self.quantities + tuple(quantities))
 
+    def with_addition(self, group: Observations | str, coefficients: Unknown, columns: ArrayLike) -> Problem:
+        """The same problem with a sum without physics added to the predictions of a group; see Observations."""
+        name = self._group(group)
+        return self._replaced(lambda o: o.with_addition(coefficients, columns) if o.group == name else o)
+
     def _replaced(self, change: Callable[[Observations], Observations | None]) -> Problem:
         return self._with(observations=tuple(n for n in (change(o) for o in self.observations) if n is not None))
 

@@ -17,6 +17,7 @@ from calib.workflow.solution import declared
 
 if TYPE_CHECKING:
     from calib.workflow.discrepancy.conclusion import Explanation
+    from calib.workflow.discrepancy.empirical import Empirical
 
 
 @click.command()
@@ -26,15 +27,19 @@ if TYPE_CHECKING:
 @click.option("--grow", "growing", is_flag=True,
               help="First add effects as long as blocks of rows left out are predicted better: for a real machine, "
                    "from its nominal state.")
+@click.option("--keep-structure", is_flag=True,
+              help="Fit structure that no effect explains as an empirical term, and say what is left.")
 @output_options
 def discover(
-    job: Path, data_folder: Path | None, problem_file: Path | None, level: float, growing: bool, output: Output
+    job: Path, data_folder: Path | None, problem_file: Path | None, level: float, growing: bool, keep_structure: bool,
+    output: Output,
 ) -> int:
     """Find the physical effect that JOB (a .toml file or a case folder) lacks, or say that none is missing.
 
     With --out: answer.json and report.html.
     """
     from calib.workflow.discrepancy.answer import answer
+    from calib.workflow.discrepancy.empirical import kept
     from calib.workflow.discrepancy.explain import explain
     from calib.workflow.discrepancy.shown import Shown
     from calib.workflow.discrepancy.split import held_out_rows
@@ -51,9 +56,14 @@ def discover(
         found = explain(problem, level, check, remarks=(*remarks, *((remark,) if remark else ())))
         step()
     shown = Shown(found, level)
+    empirical = kept(found, check) if keep_structure and found.structure else None
+    if empirical is not None:
+        more["empirical"] = empirical.content()
     content = {**answer(_name(read), found, shown), **more}
     output.result(content)
     say(output, found)
+    if empirical is not None:
+        _say_kept(output, empirical)
     if output.folder is not None:
         from calib.report import discovery
         from calib.report.provenance import provenance
@@ -64,6 +74,16 @@ def discover(
             discovery.write(_name(read), shown, origin, output.path("report.html")),
         )
     return DONE
+
+
+def _say_kept(output: Output, empirical: Empirical) -> None:
+    """What the structure as an empirical term leaves, with its size."""
+    output.say(f"  kept as an empirical term: rms of residual/u {empirical.rms:.3g}")
+    if empirical.heldout_rms is not None:
+        output.say("  on held-out rows:  {:.3g} before, {:.3g} after".format(*empirical.heldout_rms))
+    for one in empirical.content()["parameters"]:
+        shown, expanded = numbers.with_uncertainty(one["value"], 2.0 * one["u"])
+        output.say(f"  {one['name']} = {shown} ± {expanded} {one['unit']} (k = 2)")
 
 
 def _grown(
