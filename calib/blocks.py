@@ -73,7 +73,13 @@ class Mixing:
         source = residual[self.rows].reshape(len(self.rows), k * dim)
         mixed = np.einsum("mde,me->md", self.matrix, source)
         result = []
-        for j in range(k):
-            pick, weight = self.rows[:, j], self.matrix[:, :, j * dim : (j + 1) * dim]
-            result += [Part(p.columns[pick], weight @ p.jacobian[pick]) for p in parts]
+        for p in parts:
+            columns = p.columns[self.rows]
+            if np.all(columns == columns[:, :1]):  # an unknown that the rows of a block share is one part, not k
+                jacobian = p.jacobian[self.rows].reshape(len(self.rows), k * dim, columns.shape[2])
+                result.append(Part(columns[:, 0], self.matrix @ jacobian))
+                continue
+            for j in range(k):
+                weight = self.matrix[:, :, j * dim : (j + 1) * dim]
+                result.append(Part(columns[:, j], weight @ p.jacobian[self.rows[:, j]]))
         return Block(self.rows, mixed, tuple(result))

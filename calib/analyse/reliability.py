@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from statistics import NormalDist
 
@@ -95,7 +95,7 @@ def _group(fit: Linearisation, group: Group, through: Array | None) -> dict[str,
     for mixing in group.weighting.weights:
         for blocks in pieces(len(mixing.rows), mixing.rows.shape[1]):
             residual, derivatives = whitened(source, mixing, blocks)  # rows of P J and P v
-            pull = [(source.columns[a][mixing.rows[blocks, j]], one) for (j, a), one in derivatives.items()]
+            pull = _joined((source.columns[a][mixing.rows[blocks, j]], one) for (j, a), one in derivatives.items())
             targets = len(residual) // dim  # blocks list their own rows first
             rows = mixing.rows[blocks, :targets]
             own = mixing.matrix[blocks].T if mixing.matrix.ndim == 2 else np.einsum(
@@ -135,6 +135,15 @@ def _group(fit: Linearisation, group: Group, through: Array | None) -> dict[str,
 Derived = list[tuple[Index, Array]]  # columns (m, f) and derivatives (f, d, m) of the same d numbers in m blocks
 
 
+def _joined(derived: Iterable[tuple[Index, Array]]) -> Derived:
+    """The same with those of equal columns added: rows of a block mostly share their unknowns."""
+    found: dict[bytes, tuple[Index, Array]] = {}
+    for columns, one in derived:
+        key = np.ascontiguousarray(columns).tobytes()
+        found[key] = (columns, found[key][1] + one if key in found else one)
+    return list(found.values())
+
+
 def _plain(source: Source, rows: Index) -> Derived:
     """Derivatives of the readings of rows (m, k) themselves, row after row in blocks of k."""
     k = rows.shape[1]
@@ -145,7 +154,7 @@ def _plain(source: Source, rows: Index) -> Derived:
             whole = np.zeros((len(one), k * dim, len(rows)))
             whole[:, j * dim : (j + 1) * dim] = one[:, :, j::k]
             found.append((columns[rows[:, j]], whole))
-    return found
+    return _joined(found)
 
 
 def _variance(fit: Linearisation, first: Derived, second: Derived) -> Array:
