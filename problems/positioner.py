@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike
 from calib import (
     Effect,
     Estimate,
-    Gaussian,
     Observations,
     Pose,
     Problem,
@@ -29,8 +28,6 @@ from calib import (
     Shared,
     covariance,
     geometry,
-    linearise,
-    predict,
     simulate,
     solve,
 )
@@ -49,10 +46,12 @@ from calib.mechanism import (
     sag,
     scale,
 )
+from calib.mechanism.heldout import misses, rms
 from calib.mechanism.inputs import checked_positions, other_quaternion_order
 from calib.mechanism.read import data_path, measured_poses
 from calib.mechanism.resolved import quantity
 from calib.mechanism.scene import measured
+from calib.mechanism.smooth import Smooth, distances, smooth_errors
 from calib.mechanism.start import misfit, world_and_target
 from calib.scene import Scene
 from calib.units import degree, mm, mrad
@@ -62,7 +61,9 @@ LOCATION = ("EY0C (C)", "EB0C (C)")      # what every measurement of poses sees 
 BLOCKS = 5
 options = {
     "measurements": "YAML of poses and joint values, beside the job, under --data or $CALIB_REFERENCE_DATA",
-    "u_position, u_orientation": "standard uncertainty of a measured place and turn, each component",
+    "u_position, u_orientation": "standard uncertainty of a measured place and turn, each component, by itself",
+    "u_smooth_position, u_smooth_orientation": "of what neighbouring poses have in common and no effect explains",
+    "reach_position, reach_orientation": "how far in the axes' positions that reaches (fallen to exp(-1/2)), 0.5 rad",
     "errors": "\"free\" (if not given), or \"held\": the axes as designed, each error a candidate for discover",
     "free": "names of further effects to estimate, such as [\"scale_A\", \"ECC\"]",
 }
@@ -92,12 +93,14 @@ def effects() -> tuple[Effect, ...]:
 
 
 def declare(positions: ArrayLike, places: ArrayLike, rotations: ArrayLike, u_position: float, u_orientation: float,
-            free: Sequence[str] = (), rows: ArrayLike | None = None, measured: bool = True) -> Problem:
+            free: Sequence[str] = (), rows: ArrayLike | None = None, measured: bool = True,
+            smooth: tuple[Smooth, Smooth] | None = None) -> Problem:
     """Declare the identification of the positioner.
 
     positions: (n, 2) of A and C [rad]; places: (n, 3) [m] and rotations: (n, 3, 3) of the target as measured (or
     roughly, with measured=False, to plan or simulate); u_position [m], u_orientation [rad]: standard uncertainty of
-    each component; free: effects to estimate beside the location of C; rows: numbers in the data file.
+    each component; free: effects to estimate beside the location of C; rows: numbers in the data file; smooth: in place
+    of the uncertainties, those of a place [m] and of a turn [rad] with what neighbouring poses have in common.
     Returns the problem with the unknowns `instrument_from_base` and `table_from_target`, the location of C free, and
     the quantities `angle` and `offset` between the axes and `axis_A`, `axis_C` (direction and a point, instrument's
     frame).
@@ -108,10 +111,12 @@ def declare(positions: ArrayLike, places: ArrayLike, rotations: ArrayLike, u_pos
     instrument_from_base = Pose("instrument_from_base", world.rotation, world.translation, unit="mm", angle_unit="mrad")
     table_from_target = Pose("table_from_target", target.rotation, target.translation, unit="mm", angle_unit="mrad")
     readings = observe.pose_readings(places, rotations) if measured else None
+    place, turn = smooth or (Smooth(u_position), Smooth(u_orientation))
     observations = Observations(
         observe.measured_pose(mechanism.pose("table")), instrument_from_base, positions, table_from_target,
         np.asarray(rotations),
-        readings=readings, u=Gaussian.standard([u_position] * 3 + [u_orientation] * 3), group="pose", rows=rows,
+        readings=readings, u=smooth_errors(mechanism, positions, [place] * 3 + [turn] * 3), group="pose",
+        rows=rows,
         components=("x", "y", "z", "rx", "ry", "rz"), unit=["mm"] * 3 + ["mrad"] * 3,
         covariates={name: (positions[:, i], "rad") for i, name in enumerate(("A", "C"))})
     problem = Problem([observations], effects=effects(), name="two-axis positioner")
@@ -147,7 +152,13 @@ def from_job(job: Job) -> Problem:
     positions, places, rotations, rows = _read(job)
     u_position = job.options.quantity("u_position", "length")
     u_orientation = job.options.quantity("u_orientation", "angle")
-    problem = declare(positions, places, rotations, u_position, u_orientation, job.options.texts("free", ()), rows)
+    said, length, angle = job.options, "length", "angle"
+    smooth = (Smooth(u_position, said.quantity("u_smooth_position", length, 0.0),
+                     said.quantity("reach_position", angle, 0.5)),
+              Smooth(u_orientation, said.quantity("u_smooth_orientation", angle, 0.0),
+                     said.quantity("reach_orientation", angle, 0.5)))
+    problem = declare(positions, places, rotations, u_position, u_orientation, job.options.texts("free", ()), rows,
+                      smooth=smooth)
     if job.options.text("errors", "free", ("free", "held")) == "free":
         return problem
     return problem.hold(*(a.unknown for a in problem.attached))
@@ -187,50 +198,32 @@ def blocks(problem: Problem) -> Mapping[str, np.ndarray]:
     return {"pose": blocks_of(np.stack([pose.covariates[name] for name in "AC"], axis=1))}
 
 
-def heldout(job: Job, estimate: Any) -> list[tuple[str, float, float, str]]:
+def heldout(job: Job, estimate: Estimate) -> list[tuple[str, float, float, str]]:
     """Residuals of poses that were not used: designed axes before, identified axes after; each block predicted from the
     rest.
 
     Returns (quantity, before, after, unit) of the rms place and turn residual of a pose.
     """
-    positions, places, rotations, rows = _read(job)
-    u = estimate.problem.observations[0].uncertainty.weighting(1, 6, "pose").u[0]
-    free, blocks = [a.effect.label for a in estimate.problem.attached
-                    if not estimate.problem.is_held(a.unknown).all()], \
-        blocks_of(positions)
-    misses = {False: np.zeros((len(rows), 6)), True: np.zeros((len(rows), 6))}
-    for block in np.unique(blocks):
-        used, kept = np.flatnonzero(blocks != block), np.flatnonzero(blocks == block)
-        for identified, residual in misses.items():
-            problem = declare(positions[used], places[used], rotations[used], u[0], u[3], free)
-            if not identified:
-                problem = problem.hold(*[problem.parameters(label) for label in free])
-            known = solve(problem)
-            names = [*(x.name for x in problem.unknowns if x.kind == "pose"), *free]
-            new = declare(positions[kept], places[kept], rotations[kept], u[0], u[3], free)
-            predicted = predict(new, {name: known[name] for name in names})["pose"]
-            residual[kept] = new.observations[0].readings - predicted
-    rms = {key: (np.sqrt(np.mean(np.sum(r[:, :3] ** 2, 1))) / mm, np.sqrt(np.mean(np.sum(r[:, 3:] ** 2, 1))) / degree)
-           for key, r in misses.items()}
-    return [("rms place residual of a pose not used", float(rms[False][0]), float(rms[True][0]), "mm"),
-            ("rms turn residual of a pose not used", float(rms[False][1]), float(rms[True][1]), "deg")]
+    problem = estimate.problem
+    free = [a.unknown for a in problem.attached if not problem.is_held(a.unknown).all()]
+    designed, identified = misses(problem, "pose", blocks(problem)["pose"], free, estimate)
+    return [(f"rms {what} residual of a pose not used", rms(designed[:, part]) / scale,
+             rms(identified[:, part]) / scale, unit)
+            for what, part, scale, unit in (("place", slice(0, 3), mm, "mm"), ("turn", slice(3, 6), degree, "deg"))]
 
 
-def uncertainty_by_blocks(job: Job, estimate: Estimate) -> dict[str, tuple[float, float, float]]:
+def uncertainty_by_blocks(estimate: Estimate) -> dict[str, tuple[float, float, float]]:
     """Value, stated uncertainty and uncertainty by leaving out blocks of the angle and the offset of the axes [rad, m].
 
-    Where residuals of neighbouring poses are alike the stated uncertainty is too small; the jackknife over blocks of
-    neighbours is not. Source: Efron and Stein, Annals of Statistics 9(3), 1981 (the jackknife estimate of variance).
+    Where residuals of neighbouring poses are alike and poses are stated to be independent, the stated uncertainty is
+    too small; the jackknife over blocks of neighbours is not.
+    Source: Efron and Stein, Annals of Statistics 9(3), 1981 (the jackknife estimate of variance).
     """
-    positions, places, rotations, _ = _read(job)
-    u = estimate.problem.observations[0].uncertainty.weighting(1, 6, "pose").u[0]
-    free = [a.effect.label for a in estimate.problem.attached if not estimate.problem.is_held(a.unknown).all()]
-    blocks, found = blocks_of(positions), []
-    for block in np.unique(blocks):
-        used = blocks != block
-        found.append(solve(declare(positions[used], places[used], rotations[used], u[0], u[3], free))["axes"])
-    spread = np.sqrt((len(found) - 1) / len(found) * np.sum((found - np.mean(found, axis=0)) ** 2, axis=0))
-    stated = covariance(linearise(estimate), "axes")
+    block_of = blocks(estimate.problem)["pose"]
+    found = np.array([solve(estimate.problem.keep({"pose": block_of != block}), start=estimate)["axes"]
+                      for block in np.unique(block_of)])
+    spread = np.sqrt((len(found) - 1) / len(found) * np.sum((found - np.mean(found, axis=0)) ** 2, axis=0)).ravel()
+    stated = covariance(estimate.fit, "axes")
     return {name: (float(value), float(u_stated), float(u_blocks)) for name, value, u_stated, u_blocks
             in zip(stated.names, stated.values, stated.u, spread, strict=True)}
 
@@ -253,39 +246,47 @@ def advice(fit: Linearisation) -> tuple[str, ...]:
                                 "held-out check decides.")
     else:
         said.append(f"None of the {len(found)} held effects explains what remains at 1 % over all of them.")
-    similar = _neighbours(poses.covariates["A"], poses.covariates["C"], poses.residual / poses.weighting.u)
+    similar = _neighbours(fit, "pose")
     unlike = 3 / np.sqrt(len(place))
     words = [f"{name} {value:+.2f}" for name, value in zip(poses.components, similar, strict=True)
              if abs(value) > unlike]
-    said.append(f"Residuals of neighbouring poses are alike (correlation {', '.join(words)}; by chance below "
-                f"{unlike:.2f}): they "
-                "vary smoothly with the position, so that stated uncertainties, which take poses as independent, are "
-                "too small."
-                if words else f"Residuals of neighbouring poses are not alike (no correlation beyond {unlike:.2f}).")
+    chance = f"(by chance below {unlike:.2f})"
+    if words and poses.weighting.whitening[0].rows.shape[1] > 1:
+        said.append(f"Residuals/u of neighbouring poses are still alike beyond what is stated as smooth: correlation "
+                    f"{', '.join(words)} {chance}.")
+    elif words:
+        said.append(f"Residuals/u of neighbouring poses are alike: correlation {', '.join(words)} {chance}. They vary "
+                    "smoothly with the position, so that uncertainties stated for independent poses are too small: say "
+                    "u_smooth_position and u_smooth_orientation.")
+    else:
+        said.append(f"Residuals/u of neighbouring poses are not alike {chance}: what they have in common is stated.")
     return tuple(said)
 
 
-def _neighbours(a: np.ndarray, c: np.ndarray, residuals: np.ndarray) -> np.ndarray:
-    """Correlation (6,) of the residuals (n, 6) of each pose with those of the pose nearest to it in A and C."""
-    apart = np.hypot(a[:, None] - a, np.sin((c[:, None] - c) / 2))
+def _neighbours(fit: Linearisation, group: str) -> np.ndarray:
+    """Correlation (6,) of the whitened residuals of each pose with those of the pose nearest to it in A and C."""
+    poses = fit.group(group)
+    apart = distances(positioner(), np.stack([poses.covariates[name] for name in "AC"], axis=1))
     np.fill_diagonal(apart, np.inf)
-    other = residuals[np.argmin(apart, axis=1)]
-    return np.sum(residuals * other, axis=0) / np.sum(residuals ** 2, axis=0)
+    whitened = np.concatenate([block.residual.reshape(-1, 6) for block in poses.whitened])
+    other = whitened[np.argmin(apart, axis=1)]
+    return np.asarray(np.sum(whitened * other, axis=0) / np.sum(whitened ** 2, axis=0))
 
 
 def example(seed: int) -> Problem:
     """48 poses over both axes measured by a camera, with simulated errors of the axes. seed: of the errors."""
     a, c = np.meshgrid(np.linspace(-30, 30, 6) * degree, np.linspace(0, 315, 8) * degree, indexing="ij")
-    return _simulated(np.stack([a.ravel(), c.ravel()], axis=1), seed)
+    return simulated(np.stack([a.ravel(), c.ravel()], axis=1), seed)
 
 
-def _simulated(positions: np.ndarray, seed: int) -> Problem:
+def simulated(positions: np.ndarray, seed: int, smooth: tuple[Smooth, Smooth] | None = None) -> Problem:
+    """Poses at positions (n, 2) [rad] of axes with simulated errors; smooth: as of `declare`."""
     frames, translations = positioner().poses("table", positions)
     world = geometry.Transform(geometry.rotation_from_rpy(0.3, 0.1, 2.0), np.array([0.4, -0.2, 1.9]))
     target = geometry.Transform(geometry.rotation_from_rpy(0.1, -0.2, 0.5), np.array([0.30, 0.15, 0.05]))
     rough = [world @ geometry.Transform(r, t) @ target for r, t in zip(frames, translations, strict=True)]
     problem = declare(positions, np.array([p.translation for p in rough]), np.array([p.rotation for p in rough]),
-                      0.2 * mm, 0.4 * mrad, free=("scale_A",), measured=False)
+                      0.2 * mm, 0.4 * mrad, free=("scale_A",), measured=False, smooth=smooth)
     truth = {"EY0C (C)": 0.63 * mm, "EB0C (C)": 0.43 * mrad, "scale_A (A)": 1.1e-3}
     return simulate(problem, {problem.parameters(name): [[value]] for name, value in truth.items()}, seed)
 

@@ -27,8 +27,8 @@ def test_the_errors_that_are_there_are_added_and_blocks_left_out_are_then_met_to
     names = {label for step in growth.steps for label in step.effects}
     assert {"EY0C (C)", "EB0C (C)", "scale_A (A)"} <= names and len(names) <= 5
     assert growth.before > 1.3 and growth.after == pytest.approx(1.0, abs=0.15)
-    (found,) = calib.covariance(growth.estimate.fit, problem.parameters("EY0C (C)")).values
-    assert found == pytest.approx(0.63 * mm, abs=0.2 * mm)
+    found = calib.covariance(growth.estimate.fit, problem.parameters("EY0C (C)"))
+    assert abs(found.values[0] - 0.63 * mm) < 4 * found.u[0]
 
 
 def test_nothing_is_added_to_a_model_that_lacks_nothing():
@@ -58,14 +58,17 @@ def test_one_block_alone_cannot_be_left_out():
 
 @pytest.mark.slow
 @pytest.mark.skipif(not (REAL / "panda").is_dir(), reason="the recorded machines are not here")
-@pytest.mark.parametrize(("module", "name", "quantity", "most"), [
-    (serial_arm, "serial_arm", "mean distance error (right, not used)", 0.45),
-    (positioner, "positioner", "rms place residual of a pose not used", 0.30)])
-def test_a_real_machine_grown_from_its_nominal_state_is_predicted_where_it_was_not_measured(module, name, quantity,
-                                                                                         most):
+@pytest.mark.parametrize(("module", "name"), [(serial_arm, "serial_arm"), (positioner, "positioner")])
+def test_a_real_machine_grown_from_its_nominal_state_is_predicted_where_it_was_not_measured(module, name):
     job = calib.job.Job.read(Path(__file__).parents[1] / "problems" / "data" / name / "nominal.toml", REAL)
     problem = module.from_job(job)
     growth = grow(problem, blocks_of(problem, module))
-    rows = {row[0]: row[1:3] for row in module.heldout(job, growth.estimate)}
-    before, after = rows[quantity]
-    assert growth.after < 0.8 * growth.before and after < most < before
+    assert growth.after < 0.8 * growth.before
+    if module is positioner:
+        (_, before, after, _), _ = positioner.heldout(job, growth.estimate)
+        assert before == pytest.approx(0.482, abs=0.001) and after < 0.30
+    else:
+        read = serial_arm.setup(job)
+        known = {x.name: growth.estimate[x] for x in growth.estimate.problem.unknowns if x.name != "socket"}
+        errors, _ = serial_arm.distance_errors(read.arm, read.heldout["right"], read.arguments, known)
+        assert errors.mean() < 0.45 * mm          # 7.99 mm before

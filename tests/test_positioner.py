@@ -10,7 +10,8 @@ import pytest
 import calib
 from calib.errors import InputError
 from calib.job import Job
-from calib.units import mm, mrad
+from calib.mechanism.smooth import Smooth
+from calib.units import degree, mm, mrad
 from problems import positioner
 
 REAL = Path(os.environ.get("CALIB_REFERENCE_DATA", Path(__file__).parents[2] / "shared" / "reference_data"))
@@ -70,8 +71,25 @@ def test_uncertainty_by_blocks_agrees_with_the_stated_one_where_poses_are_indepe
     for name, text in positioner.example_job(3).items():
         (tmp_path / name).write_text(text)
     job = Job.read(tmp_path / "job.toml")
-    for _, stated, by_blocks in positioner.uncertainty_by_blocks(job, calib.solve(positioner.from_job(job))).values():
+    for _, stated, by_blocks in positioner.uncertainty_by_blocks(calib.solve(positioner.from_job(job))).values():
         assert 0.25 < by_blocks / stated < 3.0        # five blocks: the ratio spreads by a factor of two
+
+
+@pytest.mark.slow
+def test_poses_that_err_alike_where_they_are_near_give_intervals_that_cover():
+    a, c = np.meshgrid(np.linspace(-30, 30, 6) * degree, np.linspace(0, 315, 8) * degree, indexing="ij")
+    positions = np.stack([a.ravel(), c.ravel()], axis=1)
+    smooth = (Smooth(0.05 * mm, 0.3 * mm, 0.4), Smooth(0.1 * mrad, 0.6 * mrad, 0.4))
+    true = [np.pi / 2 - TRUTH["EB0C (C)"], -TRUTH["EY0C (C)"]]
+    alone, standardised, naive = positioner.simulated(positions, 0), [], []
+    for seed in range(8):
+        drawn = positioner.simulated(positions, seed, smooth)
+        same = alone.with_readings({"pose": drawn.observations[0].recorded})
+        for kept, one in ((standardised, drawn), (naive, same)):
+            found = calib.covariance(calib.solve(one).fit, "axes")
+            kept.append((found.values - true) / found.u)
+    assert 0.5 < np.sqrt(np.mean(np.square(standardised))) < 1.6
+    assert np.sqrt(np.mean(np.square(naive))) > 2.0
 
 
 def test_quaternions_in_the_other_order_are_named(tmp_path):
@@ -109,6 +127,8 @@ def test_the_real_positioner_is_identified_and_predicts_poses_that_were_not_used
     estimate = calib.solve(positioner.from_job(job))
     assert estimate.certificate.passed and estimate.residuals["pose"].shape == (205, 6)
     angle, u = calib.covariance(calib.linearise(estimate), "axes")["axes.angle"]
-    assert u < 0.1 * mrad and abs(angle - np.pi / 2) > 5 * u
+    assert 0.1 * mrad < u < 0.3 * mrad and abs(angle - np.pi / 2) < 5 * u
+    for _, stated, by_blocks in positioner.uncertainty_by_blocks(estimate).values():
+        assert stated > 0.8 * by_blocks         # neighbouring poses are stated to err alike
     for _, before, after, _ in positioner.heldout(job, estimate):
         assert after < before
