@@ -192,6 +192,11 @@ def blocks_of(positions: ArrayLike) -> np.ndarray:
     return (levels[0] // 3 * 4 + levels[1] // 4) % BLOCKS
 
 
+def in_columns(observations: Observations) -> tuple[str, Mapping[str, np.ndarray]] | None:
+    """Table and columns (SI) that hold the readings of a group, for a job of simulated poses."""
+    return ("poses", observe.pose_columns(observations)) if observations.group == "pose" else None
+
+
 def blocks(problem: Problem) -> Mapping[str, np.ndarray]:
     """Poses that are neighbours, which are left out together: {group: (n,) block}."""
     pose = next(o for o in problem.observations if o.group == "pose")

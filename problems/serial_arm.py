@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from calib import Estimate, Problem, covariance, linearise, predict, solve
+from calib.analyse.shapes import points_of
 from calib.errors import InputError
 from calib.job import Job
 from calib.linearisation import Functions
@@ -29,6 +30,8 @@ from calib.mechanism.clusters import alike_postures
 from calib.mechanism.inputs import checked_positions
 from calib.mechanism.read import data_path, joint_positions
 from calib.mechanism.resolved import quantity
+from calib.mechanism.scene import axes_of
+from calib.scene import Points, Scene
 from calib.units import degree, mm
 from problems.serial_arm_example import (
     example,
@@ -51,8 +54,8 @@ from problems.serial_arm_model import (
 )
 
 __all__ = ["Arm", "Setup", "Tolerances", "arm_from_urdf", "declare", "distance_errors", "effects", "example",
-           "example_arm", "example_job", "example_postures", "example_urdf", "from_job", "heldout", "reaching", "setup",
-           "simulated"]
+           "example_arm", "example_job", "example_postures", "example_urdf", "from_job", "heldout", "reaching",
+           "seat_covariance", "setup", "simulated"]
 accepts = ("problems.serial_arm",)
 BLOCKS = 5
 options = {
@@ -132,6 +135,14 @@ def blocks(problem: Problem) -> Mapping[str, np.ndarray]:
     group = next(o for o in problem.observations if o.group == "seat")
     axes = [name for name in group.covariates if name != "socket"]
     return {"seat": alike_postures(np.stack([group.covariates[name] for name in axes], axis=1), BLOCKS, 0)}
+
+
+def scene(job: Job, estimate: Estimate) -> Scene:
+    """The axes at zero, the sockets with their uncertainty, and the ball in every posture as predicted."""
+    arm, seats = setup(job).arm, estimate.problem.select("socket").unknown
+    index = next(o for o in estimate.problem.observations if o.group == "seat").arguments[0].index
+    balls = estimate[seats][index] - estimate.predicted["seat"]
+    return Scene((axes_of(arm.mechanism), points_of(estimate.fit, seats), Points("balls in every posture", balls)))
 
 
 # --- held-out ---------------------------------------------------------------------------------------------------------

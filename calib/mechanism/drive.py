@@ -12,6 +12,7 @@ import numpy as np
 from casadi import cos, sin
 
 from calib.effect import Effect, Parameter
+from calib.errors import DeclarationError
 from calib.mechanism.axis import COMPONENTS, Axis
 from calib.mechanism.chain import Mechanism
 from calib.units import ppm, um, urad
@@ -57,11 +58,19 @@ def backlash(axis: Axis, approach: str = "approach") -> Effect:
                   (Parameter("width", *_displayed(axis)),), channel=axis.name, source=ENCODER)
 
 
-def encoder_harmonic(axis: Axis, order: int = 1) -> Effect:
+def encoder_harmonic(axis: Axis, order: int = 1, period: float | None = None) -> Effect:
     """A harmonic of the position, order times a turn: 1 for an eccentric circle, 2 for an elliptic one, more for
-    gears."""
+    gears.
+
+    period: of the first harmonic; a turn for a rotary axis, for a linear one the pitch of its screw or scale [m].
+    Raises DeclarationError for a linear axis without a period.
+    """
+    if period is None and not axis.is_rotary:
+        raise DeclarationError(f"encoder of the linear axis '{axis.name}': a harmonic of what? Give the period, such "
+                               "as the pitch of its screw or scale in metres.")
+    rate = order * 2 * np.pi / (period or 2 * np.pi)
     return Effect(f"encoder_{order}x_{axis.name}", f"{axis.name}_position",
-                  lambda value, p: p.c * cos(order * value) + p.s * sin(order * value),
+                  lambda value, p: p.c * cos(rate * value) + p.s * sin(rate * value),
                   tuple(Parameter(n, *_displayed(axis)) for n in "cs"), channel=axis.name, source=ENCODER)
 
 
