@@ -1,6 +1,6 @@
 """Coverage of stated 95 % intervals for every shipped problem and instrument: 500 simulated repetitions each.
 
-Run: python benchmarks/coverage.py [repetitions [module ...]]; writes benchmarks/results/coverage.csv, where the lines of
+Run: python benchmarks/coverage.py [repetitions [module ...]]; writes benchmarks/results/coverage.csv, where lines of
 modules that were not asked for stay as they are.
 """
 

@@ -76,6 +76,7 @@ def solve(
     if remark:
         output.prose(remark)
     if output.folder is not None:
+        identified = module.identified_files(read, solution.estimate) if hasattr(module, "identified_files") else {}
         output.say()
         output.wrote(
             files.write_json(output.path("result.json"), content),
@@ -84,6 +85,7 @@ def solve(
             page.write(solution, origin, output.path("report.html"), comparisons.grid(compared), remark),
             *(files.write_csv(output.path(f"{name}.csv"), list(lines[0]), [list(line.values()) for line in lines])
               for name, lines in solution.tables.items() if lines),
+            *(files.write_text(output.path(name), text) for name, text in identified.items()),
         )
     if certificate is not None:
         output.say(f"certificate written: {certificate}")

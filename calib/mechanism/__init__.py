@@ -11,6 +11,7 @@ from calib.mechanism.drive import (
     sag,
     sag_by_load,
     scale,
+    soft_windup,
     thermal_growth,
     thermal_scale,
     zero_offset,
@@ -28,5 +29,6 @@ from calib.mechanism.errors import (
 __all__ = [
     "Axis", "Frame", "Linear", "Load", "Mechanism", "Rotary", "backlash", "bending", "encoder_harmonic", "error_motion",
     "error_motions", "location_error", "location_errors", "mounting_errors", "observe", "periodic_error_motion",
-    "polynomial_error_motion", "sag", "sag_by_load", "scale", "thermal_growth", "thermal_scale", "zero_offset",
+    "polynomial_error_motion", "sag", "sag_by_load", "scale", "soft_windup", "thermal_growth", "thermal_scale",
+    "zero_offset",
 ]

@@ -76,14 +76,18 @@ def unlike_the_mechanism(mechanism: Any, frame: str, positions: ArrayLike, names
     from calib.mechanism.start import misfit_of_points
     values, measured = np.asarray(positions, float), np.asarray(points, float)
     enough = UNLIKE * float(np.sqrt(np.mean(np.sum((measured - measured.mean(axis=0)) ** 2, axis=1))))
-    found = misfit_of_points(mechanism, frame, values, names, measured, enough)
+    found = misfit_of_points(mechanism, frame, values, names, measured)
     if found < enough:
         return
     rotary = np.array([axis.is_rotary for axis in mechanism.axes])
     tries = [("the angles are degrees given as radians", np.where(rotary, values * degree, values))]
-    tries += [(f"the axis '{axis.name}' counts the other way", values * (1.0 - 2.0 * (np.arange(len(rotary)) == i)))
-              for i, axis in enumerate(mechanism.axes)]
-    said, best = min(((words, misfit_of_points(mechanism, frame, tried, names, measured, enough))
+    for i, axis in enumerate(mechanism.axes):
+        only = np.arange(len(rotary)) == i
+        tries.append((f"the axis '{axis.name}' counts the other way", values * np.where(only, -1.0, 1.0)))
+        if axis.is_rotary:
+            said = f"the angles of '{axis.name}' are degrees given as radians"
+            tries.append((said, values * np.where(only, degree, 1.0)))
+    said, best = min(((words, misfit_of_points(mechanism, frame, tried, names, measured))
                       for words, tried in tries), key=lambda item: item[1])
     cure = (f"it would be {best * 1e3:.3g} mm if {said}. Correct that." if best < 0.2 * found else
             "check signs, order and units of the columns, and the names of the points.")

@@ -18,6 +18,8 @@ from calib.problem import Problem
 from calib.solve.estimate import predict, solve
 from calib.unknown import Pose, Unknown
 
+CLOSE = 2e-3        # of the extent of the points: a misfit of errors of manufacture, not of a wrong place
+
 
 def nearest_rotation(matrix: Array) -> Array:
     """The rotation (3, 3) nearest to a matrix (3, 3). Source: orthogonal Procrustes problem, Schoenemann 1966."""
@@ -73,10 +75,49 @@ def place_of_points(mechanism: Mechanism, frame: str, positions: ArrayLike, name
     """Where a mechanism stands and where points sit on a frame of it, from measured points, by the nominal geometry.
 
     positions: (n, axes), names: (n,) of the points, points: (n, 3) as measured [m]. Returns world_from_base and
-    {name: (3,) in the frame} [m].
-    The products of an entry of the rotation with a coordinate of a point are found linearly, the rotation as their best
-    factor; no start is needed.
+    {name: (3,) in the frame} [m]. No start is needed.
     """
+    world, places, _ = _placed(mechanism, frame, positions, names, points)
+    return world, places
+
+
+def misfit_of_points(mechanism: Mechanism, frame: str, positions: ArrayLike, names: Sequence[object] | Array,
+                     points: ArrayLike) -> float:
+    """Rms [m] by which points miss a mechanism at its best place; arguments as of `place_of_points`."""
+    return _placed(mechanism, frame, positions, names, points)[2]
+
+
+def _placed(mechanism: Mechanism, frame: str, positions: ArrayLike, names: Sequence[object] | Array,
+            points: ArrayLike) -> tuple[Transform, dict[str, Array], float]:
+    """Place, points and rms misfit [m]: in closed form, adjusted where the postures leave some of its products open."""
+    world, places = _closed_form(mechanism, frame, positions, names, points)
+    index, start = np.array([list(places).index(str(n)) for n in names]), np.array(list(places.values()))
+    where, stand = Unknown("point", start, keys=list(places)), Pose("world", world.rotation, world.translation)
+    observations = Observations(measured_point(mechanism.pose(frame)), stand, np.asarray(positions, float),
+                                where[index], readings=points, u=1.0, group="points")
+    measured = observations.recorded
+    rms = _rms(measured - predict(Problem([observations]))["points"])
+    if rms < CLOSE * _rms(measured - measured.mean(axis=0)):
+        return world, places, rms
+    # points that the postures leave open stay where they are
+    try:
+        estimate = solve(Problem([observations, prior(where, start, 1e3, name="start")]))
+    except CalibrationError:
+        return world, places, rms
+    adjusted = _rms(estimate.residuals["points"])
+    if adjusted >= rms:
+        return world, places, rms
+    return estimate[stand], dict(zip(places, np.asarray(estimate[where]).reshape(-1, 3), strict=True)), adjusted
+
+
+def _rms(vectors: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(np.asarray(vectors) ** 2, axis=1))))
+
+
+def _closed_form(mechanism: Mechanism, frame: str, positions: ArrayLike, names: Sequence[object] | Array,
+                 points: ArrayLike) -> tuple[Transform, dict[str, Array]]:
+    """The products of an entry of the rotation with a coordinate of a point, found linearly; the rotation as their best
+    factor."""
     measured, keys = np.asarray(points, float), [str(n) for n in names]
     known = list(dict.fromkeys(keys))
     rotations, origins = mechanism.poses(frame, positions)
@@ -98,32 +139,6 @@ def place_of_points(mechanism: Mechanism, frame: str, positions: ArrayLike, name
     fixed[:, :, -3:] = np.eye(3)
     places = np.linalg.lstsq(fixed.reshape(-1, fixed.shape[2]), (measured - origins @ turn.T).ravel(), rcond=None)[0]
     return Transform(turn, places[-3:]), dict(zip(known, places[:-3].reshape(-1, 3), strict=True))
-
-
-def misfit_of_points(mechanism: Mechanism, frame: str, positions: ArrayLike, names: Sequence[object] | Array,
-                     points: ArrayLike, enough: float) -> float:
-    """Rms [m] by which points miss a mechanism at its best place; arguments as of `place_of_points`.
-
-    enough: a misfit [m] below which the closed form will do; above it the place is adjusted, because the closed form is
-    no better than its postures where these leave some products open.
-    """
-    world, places = place_of_points(mechanism, frame, positions, names, points)
-    index = np.array([list(places).index(str(n)) for n in names])
-    start = np.array(list(places.values()))
-    where = Unknown("point", start, keys=list(places))
-    observations = Observations(measured_point(mechanism.pose(frame)), Pose("world", world.rotation, world.translation),
-                                np.asarray(positions, float), where[index], readings=points, u=1.0, group="points")
-    closed_form = observations.recorded - predict(Problem([observations]))["points"]
-    found = float(np.sqrt(np.mean(np.sum(closed_form ** 2, axis=1))))
-    if found < enough:
-        return found
-    # points that the postures leave open stay where they are
-    loosely = prior(where, start, 1e3, name="start")
-    try:
-        adjusted = solve(Problem([observations, loosely])).residuals["points"]
-    except CalibrationError:
-        return found
-    return min(found, float(np.sqrt(np.mean(np.sum(adjusted ** 2, axis=1)))))
 
 
 def places_on(mechanism: Mechanism, frame: str, positions: ArrayLike, names: Sequence[object] | Array,

@@ -14,6 +14,7 @@ from calib.mechanism.axis import Array
 from calib.unknown import Selection
 
 DEPENDENT = 1e-7      # remainder of a column, relative to itself, below which the kept ones explain it
+ROUNDING = 1e-12  # length of a column, relative to the longest, that is rounding: cos(90 degrees) and the like
 UNSEEN = 1e-6  # change of all readings together, in units of u, by the largest plausible size, that counts as none
 
 
@@ -63,6 +64,7 @@ def minimal(fit: Linearisation, prefer: Sequence[Any] = ()) -> Statement:
     columns = np.asarray(matrix.todense())
     order = _order(fit, prefer)
     size = np.linalg.norm(columns, axis=0)
+    size[size < ROUNDING * size.max(initial=0.0)] = 0.0
     largest = _largest(fit)
     for place, column in enumerate(layout.free_columns):
         if int(column) in largest and size[place] * largest[int(column)] < UNSEEN:
