@@ -11,6 +11,7 @@ from calib import units
 from calib.analyse.selection import criterion as criteria
 from calib.analyse.selection.floors import Floors
 from calib.errors import InputError
+from calib.job import Job
 from calib.linearisation import Linearisation
 
 CRITERIA = {"D": criteria.D, "A": criteria.A, "E": criteria.E, "G": criteria.G, "I": criteria.I, "c": criteria.C,
@@ -135,3 +136,21 @@ def grouping_of(fit: Linearisation, by: Sequence[str]) -> Any:
         return by[0] if len(by) == 1 else tuple(by)
     repeats = any(len(np.unique(g.rows)) < len(g.rows) for g in fit.groups if not g.is_prior)
     return "row" if repeats else None
+
+
+def places_of(job: Job, fit: Linearisation) -> dict[str, Any]:
+    """{group: (n, 3)} [m] of the groups whose rows stand in a table with columns x, y and z."""
+    found: dict[str, Any] = {}
+    for table in job.tables.values():
+        if not all(table.has(axis) for axis in "xyz"):
+            continue
+        try:
+            points = np.column_stack([table.number(axis, "length") for axis in "xyz"])
+        except InputError:      # columns of that name that are no lengths
+            continue
+        row = {int(number): k for k, number in enumerate(table.row_numbers)}
+        for group in fit.groups:
+            mine = [row.get(int(r)) for r in group.rows]
+            if not group.is_prior and len(mine) == len(table) and None not in mine:
+                found[group.name] = points[np.array(mine)]
+    return found

@@ -106,7 +106,8 @@ def choose(job: Path, keep: int | None, criterion: str, quantities: tuple[str, .
     if output.folder is not None:
         output.say()
         output.wrote(files.write_json(output.path("selection.json"), content),
-                     selection.write(problem.name, fit, choice, steps, origin, output.path("report.html")))
+                     selection.write(problem.name, fit, choice, steps, origin, output.path("report.html"),
+                                     choices.places_of(read, fit)))
     return DONE
 
 

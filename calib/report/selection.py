@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,8 @@ import numpy as np
 from calib import files, units
 from calib.analyse.selection.planning import Next, Step
 from calib.analyse.selection.select import Choice
-from calib.linearisation import Linearisation
+from calib.blocks import Array
+from calib.linearisation import Group, Linearisation
 from calib.report import numbers, plots
 from calib.report.provenance import Provenance
 from calib.report.template import Drawing, Grid, render
@@ -96,19 +97,17 @@ def sentence(choice: Choice) -> str:
 
 
 def write(title: str, fit: Linearisation, choice: Choice, steps: Sequence[Step], provenance: Provenance,
-          path: str | Path) -> Path:
+          path: str | Path, places: Mapping[str, Array] | None = None) -> Path:
     """Write report.html, whole or not at all.
 
-    title; fit: what was chosen from; choice; steps: criterion against number kept; provenance; path. Returns the path.
+    title; fit: what was chosen from; choice; steps: criterion against number kept; provenance; path; places:
+    {group: (n, 3)} of its readings [m], where they are known. Returns the path.
     """
     drawings = []
     if len(steps) > 1:
         drawings.append(Drawing.of(_along(choice, steps), "along", "The criterion against the number kept: the best "
                         "choices found (dots) and what no choice can beat (line)."))
-    picture = _places(fit, choice)
-    if picture is not None:
-        drawings.append(Drawing.of(picture, "places", "Where the chosen readings stand (filled) among the candidates "
-                                   "(open)."))
+    drawings += _places(fit, choice, places or {})
     rows = [[p.name, numbers.plain(p.u_all / units.factor(p.unit)),
              numbers.plain(p.u_chosen / units.factor(p.unit)) if np.isfinite(p.u_chosen) else "not known",
              numbers.plain(p.u_chosen / p.u_all, 3) if np.isfinite(p.u_chosen) and p.u_all else "", p.unit]
@@ -140,22 +139,76 @@ def _along(choice: Choice, steps: Sequence[Step]) -> Figure:
     return figure
 
 
-def _places(fit: Linearisation, choice: Choice) -> Figure | None:
-    """Chosen readings among the candidates: in space where x, y and z are covariates, else over the two covariates
-    that say most, or the row number."""
+def _places(fit: Linearisation, choice: Choice, given: Mapping[str, Array]) -> list[Drawing]:
+    """Where the chosen readings stand among the candidates: in space where places are known, given or as unknowns of
+    their own, and over the two covariates that say most, or the row number."""
+    drawings = []
+    space = [(group, place) for group in fit.groups if group.name in choice.rows and not group.is_prior
+             for place in [given.get(group.name, _own_places(fit, group))] if place is not None]
+    if space:
+        drawings.append(Drawing.of(_in_space(choice, space), "space", "The candidates in space, in metres: chosen "
+                                   "(filled, the larger the more readings were chosen there) and not (open)."))
     group = next((g for g in fit.groups if g.name in choice.rows and not g.is_prior), None)
-    if group is None:
-        return None
+    if group is not None and not space:
+        drawings.append(Drawing.of(_over_covariates(group, choice), "places", f"Where the chosen readings of "
+                                   f"'{group.name}' stand (filled) among the candidates (open)."))
+    return drawings
+
+
+def _own_places(fit: Linearisation, group: Group) -> Array | None:
+    """Places (n, 3) [m] of the readings of a group: of the point or pose, one of several, that each one sees."""
+    found: Array | None = None
+    for unknown in fit.layout.unknowns:
+        lengths = all(units.dimension(unit) == "length" for unit in unknown.units[:3])
+        if unknown.count < 2 or unknown.freedom not in (3, 6) or not lengths:
+            continue
+        begin, step = fit.layout.offset[unknown], unknown.freedom
+        for part in group.parts:
+            instance = (part.columns[:, 0] - begin) // step
+            if part.columns.shape[1] == step and np.all((instance >= 0) & (instance < unknown.count)):
+                place = fit.values[unknown][:, :3]      # a pose begins with its translation
+                if len(np.unique(instance)) > 1 and (found is None or unknown.kind == "pose"):
+                    found = np.asarray(place[instance])
+    return found
+
+
+def _in_space(choice: Choice, groups: Sequence[tuple[Group, Array]]) -> Figure:
+    from matplotlib.ticker import MaxNLocator
+
+    figure, flat = plots.canvas(4.2)
+    flat.remove()
+    axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
+    axes.patch.set_alpha(0)
+    everywhere = np.concatenate([place for _, place in groups])
+    taken = np.concatenate([np.isin(g.rows, choice.rows[g.name]) for g, _ in groups])
+    spots, which = np.unique(np.round(everywhere, 6), axis=0, return_inverse=True)
+    count = np.bincount(which.ravel(), taken, len(spots))
+    chosen = count > 0
+    if not chosen.all():      # an empty cloud would widen the axes
+        axes.scatter(*spots[~chosen].T, s=18, facecolors="none", edgecolors=plots.FAINT, linewidths=0.9,
+                     depthshade=False)
+    axes.scatter(*spots[chosen].T, s=24 * np.sqrt(count[chosen]), color=plots.ACCENT, linewidths=0, depthshade=False)
+    for one in (axes.xaxis, axes.yaxis, axes.zaxis):
+        one.pane.set_alpha(0)
+        one.label.set_color(plots.INK)
+    # The same scale along all axes, except along one in which all lie (nearly) at one height.
+    span = np.ptp(spots, axis=0)
+    span = np.maximum(span, 0.25 * span.max()) if span.max() > 0 else np.ones(3)
+    middle = 0.5 * (spots.min(axis=0) + spots.max(axis=0))
+    for k, name in enumerate("xyz"):
+        getattr(axes, f"set_{name}lim")(middle[k] - 0.55 * span[k], middle[k] + 0.55 * span[k])
+    axes.set_box_aspect(span, zoom=1.1)
+    axes.view_init(elev=28, azim=-55)
+    for name in "xyz":
+        getattr(axes, f"set_{name}label")(f"{name} / m")
+        getattr(axes, f"{name}axis").set_major_locator(MaxNLocator(4))
+    axes.tick_params(colors=plots.INK, labelcolor=plots.INK, labelsize=8)
+    return figure
+
+
+def _over_covariates(group: Group, choice: Choice) -> Figure:
     names, taken = _axes_of(group.covariates), np.isin(group.rows, choice.rows[group.name])
-    solid = len(names) == 3
-    figure, axes = plots.canvas(4.4 if solid else 2.8, fitted=True)
-    if solid:
-        axes.remove()
-        axes = figure.add_subplot(projection="3d")
-        axes.patch.set_alpha(0)
-        for one in (axes.xaxis, axes.yaxis, axes.zaxis):
-            one.pane.set_alpha(0)
-            one.label.set_color(plots.INK)
+    figure, axes = plots.canvas(2.8, fitted=True)
     columns, labels = [], []
     for name in names or ["row"]:
         values = np.asarray(group.covariates.get(name, group.rows))
@@ -168,18 +221,15 @@ def _places(fit: Linearisation, choice: Choice) -> Figure | None:
         labels.append("")
     axes.scatter(*[c[~taken] for c in columns], s=16, facecolors="none", edgecolors=plots.FAINT, linewidths=0.9)
     axes.scatter(*[c[taken] for c in columns], s=30, color=plots.ACCENT, linewidths=0)
-    for set_label, label in zip((axes.set_xlabel, axes.set_ylabel, getattr(axes, "set_zlabel", None)), labels):
-        set_label(label)      # type: ignore[misc]
+    axes.set_xlabel(labels[0])
+    axes.set_ylabel(labels[1])
+    axes.margins(y=0.25)
     axes.tick_params(colors=plots.INK, labelcolor=plots.INK, labelsize=9)
     return figure
 
 
 def _axes_of(covariates: Any) -> list[str]:
     varied = {name: np.asarray(values) for name, values in covariates.items() if len(np.unique(values)) > 1}
-    space = [name for axis in ("x", "y", "z") for name in varied if name.lower() == axis
-             and varied[name].dtype.kind in "fiu"]
-    if len(space) >= 2:
-        return space
     numeric = sorted((n for n, v in varied.items() if v.dtype.kind == "f"), key=lambda n: -len(np.unique(varied[n])))
     kinds = [n for n, v in varied.items() if v.dtype.kind != "f" and len(np.unique(v)) <= 40]
     return [*numeric[:1], *kinds[:1]] if numeric else ["row", *kinds[:1]]
