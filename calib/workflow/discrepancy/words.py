@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from calib.workflow.discrepancy.conclusion import NamedEffect
 
 LISTED = 6
+LEVEL = "level"  # the shape of a disagreement that is constant for each value of a covariate
+SHAPES = {LEVEL: "a constant for each", "trend": "a trend over", "curve": "a curve over", "cubic": "a cubic over",
+          "smooth": "a smooth function of", "fine": "a fine function of", "pieces": "steps over"}
 FEW_SPARE = 5  # degrees of freedom below which hardly anything can be found
 
 
@@ -74,14 +77,15 @@ def _blunders(rows: Sequence[int]) -> str:
 
 
 def _of_structure(place: Place) -> str:
-    """A description such as "harmonic 4 over angle in level (2.1 u, phase 34 deg)"."""
+    """A description such as "harmonic 4 over angle in level (2.1 u at 34 deg)"."""
     figures = place.figures
     size = ""
     if "amplitude_over_u" in figures:
         size = f" ({figures['amplitude_over_u']:.2g} u at {figures['phase_deg']:.0f} deg)"
     elif "rms_over_u" in figures:
         size = f" ({figures['rms_over_u']:.2g} u, root mean square)"
-    return f"{place.shape} over {place.covariate.replace('_', ' ')} in {place.channel}{size}"
+    shape = SHAPES.get(place.shape, place.shape + (" of" if "range" in place.shape else " over"))
+    return f"{shape} {place.covariate.replace('_', ' ')} in {place.channel}{size}"
 
 
 def next_measurement(
@@ -96,6 +100,9 @@ def next_measurement(
         return advice
     if verdict == "unknown-structure" and structure:
         over, where = structure[0].covariate.replace("_", " "), structure[0].channel
+        if structure[0].shape == LEVEL:
+            return (f"read {where} again for every {over}, in another order: what stays with a {over} belongs to the "
+                    "model, what does not to the time")
         return (f"read {where} again in finer steps of {over}, there and back, and once more on another day: what "
                 f"repeats with {over} belongs to the model, what comes with the time does not")
     if verdict in ("unknown-structure", "noise-misstated"):
