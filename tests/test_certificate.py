@@ -164,7 +164,8 @@ def test_a_unit_keeps_its_size_in_the_si(unit):
     assert re.fullmatch(r"(\\[a-z]+(\{\d+\})?)+", text)
 
 
-@pytest.mark.parametrize("value, u, text", [(0.14692, 0.68516, "0.15"), (-2.0, 0.0996, "-2.00"), (-0.001, 0.2, "0.00"), (1e-15, 1e-16, "1.00e-15"),
+@pytest.mark.parametrize("value, u, text", [(0.14692, 0.68516, "0.15"), (-2.0, 0.0996, "-2.00"),
+                                            (-0.001, 0.2, "0.00"), (1e-15, 1e-16, "1.00e-15"),
                                             (1234567.0, 230.0, "1.23457e+06"), (1e-9, 1e-10, "0.00000000100"),
                                             (0.5, None, "0.5")])
 def test_a_number_is_rounded_to_two_digits_of_its_uncertainty(value, u, text):
