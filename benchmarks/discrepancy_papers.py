@@ -184,7 +184,7 @@ def correlation_of_table_2(seed: int = 1) -> dict[str, Any]:
     estimate = solve(problem)
     fit = linearise(estimate)
     field = field_of(fit, ())
-    drawn = field.draw(np.random.default_rng(seed), DRAWS)
+    drawn = field.draw(seed, DRAWS)
     residual = field.residual / np.sqrt(field.squares / field.dof)
     drawn /= np.sqrt(np.sum(drawn**2, axis=0) / field.dof)  # compared in shape alone: no u is printed
 

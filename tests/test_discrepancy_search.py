@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from discrepancy_designs import locators
 from scipy.stats import binom
 
-from calib.analyse.score import Field
+from calib import linearise
+from calib.analyse.score import Field, field_of
 from calib.workflow.discrepancy.alias import aliases
 from calib.workflow.discrepancy.looks import corrected, effective_looks
 from calib.workflow.discrepancy.noise import tail_test
@@ -95,3 +97,15 @@ def test_looks_that_are_the_same_count_once_and_others_each():
     assert effective_looks(p.min(axis=0), 30) == pytest.approx(30, rel=0.15)
     assert effective_looks(p[0], 30) == pytest.approx(1.0, abs=0.3)
     assert corrected(0.01, 3) == pytest.approx(1 - 0.99**3)
+
+
+def test_many_unknowns_take_away_what_an_orthogonal_factor_of_their_derivatives_does():
+    design = locators(np.random.default_rng(3), 45)
+    fit = linearise(design.build(None), design.truth)
+    derivatives, _ = fit.rows
+    assert derivatives.shape[1] > 250  # where the normal matrix is eliminated block by block
+    basis = field_of(fit, ()).basis
+    dense = derivatives.toarray()
+    other = np.linalg.qr(dense / np.linalg.norm(dense, axis=0))[0]
+    noise = np.random.default_rng(1).standard_normal((len(dense), 3))
+    assert basis @ (basis.T @ noise) == pytest.approx(other @ (other.T @ noise), abs=1e-9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,10 +12,11 @@ from numpy.typing import NDArray
 
 from calib.blocks import Array
 from calib.effect import Effect
-from calib.factor import DenseFactor
+from calib.factor import DenseFactor, null_space
 from calib.linearisation import Linearisation
 from calib.unknown import Selection, Unknown
 
+ROUNDING = 1e-7  # by which a basis of many directions may miss being orthonormal
 INVISIBLE = 1e-7  # share of a candidate's signal that the free unknowns leave over, below which it cannot be seen
 
 
@@ -84,7 +86,8 @@ class Field:
 
     residual (n,): of all scalar readings; redundancy (n,): share of an error of each reading that shows in it;
     basis (n, q): orthonormal directions that are taken; signals: for each candidate its columns (n, k) outside the
-    basis; sizes: for each candidate the norms (k,) of its columns before anything was taken away.
+    basis; sizes: for each candidate the norms (k,) of its columns before anything was taken away; drawn: simulated
+    residuals by seed and number, kept as long as the basis is.
     """
 
     residual: Array
@@ -92,6 +95,7 @@ class Field:
     basis: Array
     signals: tuple[Array, ...]
     sizes: tuple[Array, ...]
+    drawn: dict[tuple[int, int], Array] = dataclasses.field(default_factory=dict, repr=False, compare=False)
 
     @property
     def dof(self) -> int:
@@ -136,6 +140,8 @@ class Field:
 
     def taking(self, frame: Array) -> Field:
         """The field after further orthonormal directions (n, k), outside the basis, are taken."""
+        if not frame.shape[1]:
+            return self
         basis = np.concatenate([self.basis, frame], axis=1)
 
         def less(columns: Array) -> Array:
@@ -149,9 +155,12 @@ class Field:
             self.sizes,
         )
 
-    def draw(self, generator: np.random.Generator, count: int) -> Array:
-        """Residuals (n, count) as they would be if nothing but the stated noise were there."""
-        return self.outside(generator.standard_normal((len(self.residual), count)))
+    def draw(self, seed: int, count: int) -> Array:
+        """Residuals (n, count) as they would be if nothing but the stated noise were there, the same for a seed."""
+        if (seed, count) not in self.drawn:
+            noise = np.random.default_rng(seed).standard_normal((len(self.residual), count))
+            self.drawn[seed, count] = noise - self.basis @ (self.basis.T @ noise)
+        return self.drawn[seed, count]
 
 
 def orthonormal(columns: Array, sizes: Array) -> Array:
@@ -164,15 +173,36 @@ def orthonormal(columns: Array, sizes: Array) -> Array:
 
 def field_of(fit: Linearisation, chosen: Sequence[Candidate]) -> Field:
     """The field of a linearisation: whitened residuals and the signals of candidates outside the free unknowns."""
-    derivatives, residual = fit.rows
-    dense = derivatives.toarray()
-    root = fit.factor.root if isinstance(fit.factor, DenseFactor) else None
-    basis = np.linalg.qr(dense @ root)[0] if root is not None else np.linalg.qr(dense)[0]
+    _, residual = fit.rows
+    basis = _orthonormal_rows(fit)
     residual = residual - basis @ (basis.T @ residual)
     redundancy = np.maximum(1.0 - np.sum(basis**2, axis=1), 0.0)
     columns = fit.held_columns([c for one in chosen for c in one.columns])
     splits = np.cumsum([len(one.columns) for one in chosen])[:-1]
     return Field(residual, redundancy, basis, (), ()).with_signals(np.split(columns, splits, axis=1) if chosen else [])
+
+
+def _orthonormal_rows(fit: Linearisation) -> Array:
+    """Orthonormal basis (n, q) of what the free unknowns can do within the conditions."""
+    from scipy.linalg.lapack import dpotrf, dtrtri
+
+    derivatives, _ = fit.rows
+    if isinstance(fit.factor, DenseFactor):
+        return np.asarray(np.linalg.qr(derivatives @ fit.factor.root)[0])
+    # Of many unknowns the derivatives are sparse: their normal matrix is cheap, and so is the product with its root.
+    scale = np.where(fit.sizes > 0, fit.sizes, 1.0)
+    normal = (derivatives.T @ derivatives).toarray() / np.outer(scale, scale)
+    free = null_space(fit.conditions.matrix / scale, fit.conditions.target)[0] if len(fit.conditions.target) else None
+    corner, failed = dpotrf(normal if free is None else free.T @ normal @ free, lower=0)
+    if failed:
+        dense = derivatives.toarray() / scale
+        return np.asarray(np.linalg.qr(dense if free is None else dense @ free)[0])
+    root = dtrtri(np.triu(corner))[0]
+    basis = np.asarray(derivatives @ ((root if free is None else free @ root) / scale[:, None]))
+    probe = np.cos(np.arange(basis.shape[1]))
+    if np.max(np.abs(basis.T @ (basis @ probe) - probe)) > ROUNDING:
+        return np.asarray(np.linalg.qr(basis)[0])
+    return basis
 
 
 def scores(fit: Linearisation, chosen: Sequence[Candidate] | None = None) -> list[Score]:

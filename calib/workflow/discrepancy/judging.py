@@ -10,7 +10,7 @@ import numpy as np
 from calib.analyse.score import Field, orthonormal
 from calib.workflow.discrepancy.looks import corrected
 from calib.workflow.discrepancy.noise import NoiseTest, noise_tests, size_test, tail_test
-from calib.workflow.discrepancy.rivals import HEAVY, SCALED, SERIAL, STATED, UNEVEN, Noise, accounts
+from calib.workflow.discrepancy.rivals import HEAVY, LARGE, SCALED, SERIAL, STATED, UNEVEN, Noise, accounts
 from calib.workflow.discrepancy.scene import Scene
 from calib.workflow.discrepancy.search import Finding, Shares, noise_scale, search
 from calib.workflow.discrepancy.structure import MOST, Place, Screen, described
@@ -59,6 +59,8 @@ def best_account(
         for noise in source:
             if noise.kind in (STATED, SCALED) or noise.score > _plainest(source).score - ADVANTAGE:
                 continue
+            if scene.derivatives.size > LARGE:
+                break
             again = _search_again(scene, noise, level, seed, shares)
             if again.effects:
                 score = _score_through(scene, again, noise) + price_of(scene, again) + ODD

@@ -14,7 +14,7 @@ from calib.blocks import Array
 from calib.workflow.discrepancy.looks import effective_looks
 from calib.workflow.discrepancy.readings import Channel, sequences
 
-DRAWS = 300  # simulated residuals from which mean and spread of every figure are taken
+DRAWS = 200  # simulated residuals from which mean and spread of every figure are taken
 _SERIAL = "serial correlation"
 FEW = 12  # different values up to which a covariate is taken part by part
 FEWEST = 8  # readings from which their tails and their memory can be judged
@@ -93,7 +93,7 @@ def noise_tests(field: Field, channels: Sequence[Channel], scale: float, seed: i
     field: residuals after everything found is taken; scale: variance of the noise; seed: of the simulated residuals
     that each look is judged against.
     """
-    simulated = field.draw(np.random.default_rng(seed), DRAWS)
+    simulated = field.draw(seed, DRAWS)
     together = np.concatenate([(field.residual / np.sqrt(scale))[:, None], simulated], axis=1)
     together /= np.sqrt(np.where(field.redundancy > 1e-6, field.redundancy, np.inf))[:, None]
     names, figures = [], []

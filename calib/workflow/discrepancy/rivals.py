@@ -21,6 +21,7 @@ STATED, SCALED, UNEVEN, HEAVY, SERIAL = "as stated", "of another size", "uneven"
 STEEPNESS = np.array([-1.2, -0.8, -0.4, 0.4, 0.8, 1.2])  # logarithm of the size of noise at the end of a covariate
 CORRELATIONS = np.concatenate([np.linspace(-0.7, 0.9, 17), [0.95, 0.98]])
 SMALLEST = 4.0  # redundancy of the smallest group of rows whose scatter is estimated
+LARGE = 3_000_000  # numbers in a basis, from which it is not made again for one more look
 BOUND = 0.05  # smallest variance that an estimate may take
 
 
@@ -165,7 +166,7 @@ def _along(left: Field, way: Sequence[NDArray[np.int64]], dof: int) -> tuple[flo
     quick = [_likelihood(lagged(left.residual[:, None], way, c)[:, 0], steps, c, dof) for c in CORRELATIONS]
     near = CORRELATIONS[int(np.argmin(quick))]
     best, correlation = min(quick), float(near)
-    if abs(near) > 0.15:
+    if abs(near) > 0.15 and left.basis.size < LARGE:
         # Residuals of a fit look less correlated than the noise was: judge the fit that knows the correlation.
         for trial in sorted({near, *(min(near + more, 0.97) for more in (0.1, 0.2, 0.3) if near > 0)}):
             basis = np.linalg.qr(lagged(left.basis, way, trial))[0]

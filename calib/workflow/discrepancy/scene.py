@@ -9,9 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.analyse.score import Candidate, Field, candidates, field_of, orthonormal
+from calib.analyse.score import Candidate, Field, candidates, field_of
 from calib.blocks import Array
-from calib.factor import DenseFactor
 from calib.linearisation import Linearisation, linearise_system
 from calib.problem import Problem
 from calib.solve.estimate import Estimate
@@ -22,7 +21,7 @@ from calib.workflow.discrepancy.readings import Channel, channels, row_numbers
 
 @dataclass(frozen=True)
 class Scene:
-    """One linearisation with its candidates, whitened derivatives (n, p), residual (n,) and channels."""
+    """One linearisation with its candidates, what the free unknowns can do (n, p), residual (n,) and channels."""
 
     fit: Linearisation
     chosen: tuple[Candidate, ...]
@@ -57,7 +56,7 @@ class Scene:
 
 
 def _field(derivatives: Array, residual: Array, columns: Sequence[Array]) -> Field:
-    basis = orthonormal(derivatives, np.linalg.norm(derivatives, axis=0))
+    basis = np.linalg.qr(derivatives)[0]
     left = residual - basis @ (basis.T @ residual)
     return Field(left, np.maximum(1 - np.sum(basis**2, axis=1), 0), basis, (), ()).with_signals(columns)
 
@@ -70,7 +69,7 @@ def scene_of(problem: Problem, at: Estimate, named: Sequence[Candidate]) -> Scen
     together = fit.held_columns([c for one in chosen for c in one.columns])
     ends = np.cumsum([len(one.columns) for one in chosen])
     columns = np.split(together, ends[:-1], axis=1) if chosen else []
-    derivatives, residual = fit.rows
+    _, residual = fit.rows
     residual = residual.copy()
     labels = {c.label for c in named}
     for one, column in zip(chosen, columns, strict=True):
@@ -79,7 +78,4 @@ def scene_of(problem: Problem, at: Estimate, named: Sequence[Candidate]) -> Scen
     basis = field_of(fit, ()).basis
     left = residual - basis @ (basis.T @ residual)
     field = Field(left, np.maximum(1 - np.sum(basis**2, axis=1), 0), basis, (), ()).with_signals(columns)
-    dense = derivatives.toarray()
-    if isinstance(fit.factor, DenseFactor):
-        dense = dense @ fit.factor.root  # the directions that the conditions leave free
-    return Scene(fit, chosen, tuple(columns), dense, residual, tuple(channels(fit, problem)), field)
+    return Scene(fit, chosen, tuple(columns), basis, residual, tuple(channels(fit, problem)), field)

@@ -207,7 +207,7 @@ class Screen:
         has half of the level, so that the many do not hide what is looked for first."""
         if not self.shapes:
             return 1.0, 1.0
-        drops = self.drops(self.field.draw(np.random.default_rng(seed), DRAWS))
+        drops = self.drops(self.field.draw(seed, DRAWS))
         found = []
         for which in (self.plain, ~self.plain):
             smallest = smallest_tails(drops[which], self.dofs[which]) if which.any() else np.ones(DRAWS)
