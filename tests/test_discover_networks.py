@@ -109,8 +109,8 @@ def test_hidden_effects_are_named_behind_a_sealed_truth(tmp_path):
     for name in ("cases", "truths"):
         (tmp_path / name).mkdir()
     written = sum(write(kind, seed, count, 3.0, tmp_path / "cases", tmp_path / "truths")
-                  for kind in KINDS for seed in (7101, 7102) for count in (0, 1))
-    assert written > 3 * len(KINDS)
+                  for kind in KINDS for seed, count in ((7101, 0), (7101, 1), (7102, 1)))
+    assert written > 2 * len(KINDS)
     subprocess.run([sys.executable, str(BENCHMARK), "--analyse", str(tmp_path)], check=True)
     outcomes = []
     for path in sorted((tmp_path / "truths").glob("*.json")):
