@@ -1,21 +1,33 @@
-"""Time of a network of laser trackers: solve, covariance block of every point and station, all redundancy numbers.
+"""Time and memory of networks of laser trackers: solve, covariance block of every point and station, all redundancy
+numbers.
 
-Medians of repeated runs (set OMP_NUM_THREADS=1 for one thread), beside GTSAM where its wheel is installed (native C++
-factors of bearing and range). Usage: OMP_NUM_THREADS=1 python benchmarks/network_speed.py [--points 100 300 1000]
+Every measurement is a process of its own, one thread, CPU seconds; ours and the peers take turns, medians are printed.
+Peers: native Ceres where g++ and libceres-dev are there (network_ceres.cpp), GTSAM where its wheel is. Optimum and
+covariance of the points are compared with those of Ceres.
+Usage: python benchmarks/network_speed.py [--cases 10x1000 30x10000 100x50000/10] [--repeats 3] [--gtsam]
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import os
 import resource
+import shutil
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calib import Problem, linearise, reliability, simulate, solve
+from calib.compiled import available, row_back_end
+from calib.system import System
 from calib.units import arcsec, um
 from problems.network import Point, Survey, declare
 from problems.network.stations import Sightings
@@ -118,35 +130,146 @@ def gtsam_time(problem: Problem, repeats: int) -> tuple[float, np.ndarray] | Non
     return spent, np.array([answer.atPoint3(gtsam.symbol("p", j)) for j in range(point.count)])
 
 
+def measured(case: str, back_end: str, answer: Path) -> dict[str, float]:
+    """CPU times [s] and memory [MB] of one case by one row back end, in this process; points and their covariance."""
+    stations, points, each = parsed(case)
+    with row_back_end(back_end):
+        ours(network(3, 10, seed=1), 1)  # what is traced, compiled and imported once is not part of any time
+        problem = network(stations, points, 1, each)
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        current = float(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
+        begin = time.process_time()
+        estimate = solve(problem)
+        solved = time.process_time()
+        fit = linearise(estimate)
+        blocks = {}
+        for unknown in problem.unknowns:
+            columns = fit.layout.position[fit.layout.span(unknown)].reshape(unknown.count, -1)
+            free = columns[np.all(columns >= 0, axis=1)]
+            blocks[unknown.name] = fit.factor.between(free, free)
+        covered = time.process_time()
+        tests = reliability(fit)
+        tested = time.process_time()
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    assert abs(tests.redundancy.sum() - estimate.dof) < 1e-6 * estimate.dof
+    np.savez(answer, points=estimate["point"], covariance=blocks["point"])
+    return {"solve": solved - begin, "covariance": covered - solved, "redundancy": tested - covered, "peak": peak,
+            "grown": peak - max(current, 0.0) if peak > before else 0.0, "iterations": estimate.iterations}
+
+
+def parsed(case: str) -> tuple[int, int, int | None]:
+    """Stations, points, and how many stations see a point, of "30x10000" or "100x50000/10"."""
+    sizes, _, each = case.partition("/")
+    stations, points = sizes.split("x")
+    return int(stations), int(points), int(each) if each else None
+
+
+def in_a_process(case: str, back_end: str, folder: Path) -> dict[str, float]:
+    """`measured`, in a process of its own with one thread."""
+    one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "CALIB_THREADS": "1"}
+    found = subprocess.run([sys.executable, __file__, "--measure", case, back_end, str(folder / "ours.npz")],
+                           env={**os.environ, **one_thread}, check=True, capture_output=True, text=True)
+    return json.loads(found.stdout.splitlines()[-1])
+
+
+def native_ceres(folder: Path) -> Path | None:
+    """The peer in C++, compiled; None where there is no compiler or no Ceres."""
+    source, program = Path(__file__).with_name("network_ceres.cpp"), folder / "network_ceres"
+    if shutil.which("g++") is None:
+        return None
+    done = subprocess.run(["g++", "-O3", "-march=native", "-DNDEBUG", "-I/usr/include/eigen3", str(source), "-o",
+                           str(program), "-lceres", "-lglog"], capture_output=True, check=False)
+    return program if done.returncode == 0 else None
+
+
+def ceres(program: Path, case: str, with_covariance: bool, folder: Path) -> tuple[dict[str, float], Any, Any]:
+    """CPU times [s] of Ceres on the same readings from the same start; its points and their covariance."""
+    stations, points, each = parsed(case)
+    problem = network(stations, points, 1, each)
+    observed = problem.observations[0]
+    station, point = (a.unknown for a in observed.arguments[:2])
+    assert observed.readings is not None and station is not None and point is not None
+    poses = station.show(station.ambient)  # of the hall in the frame of each station
+    turn = np.array([p.rotation for p in poses]).transpose(0, 2, 1)
+    place = -np.einsum("nij,nj->ni", turn, np.array([np.ravel(p.translation) for p in poses]))
+    u = System(problem).weightings(System(problem).layout.start())[0].u
+    rows = np.column_stack([observed.arguments[0].index, observed.arguments[1].index, observed.readings, u])
+    start = np.column_stack([Rotation.from_matrix(turn).as_rotvec(), place])
+    np.concatenate([[stations, points, len(rows), with_covariance], rows.ravel(), start.ravel(),
+                    point.ambient.ravel()]).tofile(folder / "problem.bin")
+    subprocess.run([str(program), str(folder / "problem.bin"), str(folder / "answer.bin")], check=True,
+                   env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}, capture_output=True)
+    answer = np.fromfile(folder / "answer.bin")
+    found = answer[4 : 4 + 3 * points].reshape(-1, 3)
+    blocks = answer[4 + 3 * points :].reshape(-1, 3, 3) if with_covariance else None
+    return {"solve": answer[0], "covariance": answer[1]}, found, blocks
+
+
 def main() -> None:
     """Write a table of times to standard output."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--stations", type=int, default=10)
-    parser.add_argument("--points", type=int, nargs="+", default=[100, 300, 1000])
+    parser.add_argument("--cases", nargs="+", default=["10x1000", "30x10000", "100x50000/10"])
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--gtsam", action="store_true", help="also GTSAM, with the first case only")
+    parser.add_argument("--measure", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    out = sys.stdout
-    header = ("stations x points", "readings", "solve [s]", "covariance blocks [s]", "redundancy [s]", "memory [MB]",
-              "GTSAM solve + covariance [s]", "points differ [um]")
-    out.write(f"| {' | '.join(header)} |\n|{' --- |' * len(header)}\n")
-    ours(network(3, 10, seed=1), 1)          # what is traced and imported once is not part of any time
-    sizes, totals = [], []
-    for points in options.points:
-        problem = network(options.stations, points, seed=1)
-        spent, covariances, whole, estimate = ours(problem, options.repeats)
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        peer = gtsam_time(problem, options.repeats)
-        other = ("not installed", "") if peer is None else (
-            f"{peer[0]:.3f}", f"{1e6 * np.abs(peer[1] - estimate['point']).max():.3g}")
-        cells = (f"{options.stations} x {points}", str(3 * options.stations * points), f"{spent:.3f}",
-                 f"{covariances:.3f}", f"{whole:.3f}", f"{peak:.0f}", *other)
-        out.write(f"| {' | '.join(cells)} |\n")
-        out.flush()
-        sizes.append(points)
-        totals.append(spent + whole)
-    if len(sizes) > 1:
-        exponent = np.polyfit(np.log(sizes), np.log(totals), 1)[0]
-        out.write(f"\nTime of solve and redundancy against readings: exponent {exponent:.2f}\n")
+    if options.measure:
+        case, back_end, answer = options.measure
+        print(json.dumps(measured(case, back_end, Path(answer))))
+        return
+    header = ("stations x points", "readings", "by", "solve [s]", "covariance [s]", "redundancy [s]", "memory [MB]",
+              "Ceres solve [s]", "Ceres covariance [s]", "solve: part of Ceres", "all: part of Ceres",
+              "points differ [nm]", "covariance differs")
+    print(f"| {' | '.join(header)} |\n|{' --- |' * len(header)}")
+    sizes: dict[str, list[tuple[float, float]]] = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        program = native_ceres(folder)
+        for case in options.cases:
+            stations, points, each = parsed(case)
+            readings = 3 * points * (each or stations)
+            with_covariance = points <= 1000  # quadratic in the points: hours for the others
+            runs: dict[str, list[dict[str, float]]] = {}
+            peer_points = peer_blocks = None
+            differ: dict[str, tuple[float, float]] = {}
+            for _ in range(options.repeats):
+                if program is not None:
+                    times, peer_points, peer_blocks = ceres(program, case, with_covariance, folder)
+                    runs.setdefault("Ceres", []).append(times)
+                for back_end in ("numpy", "compiled") if available() else ("numpy",):
+                    runs.setdefault(back_end, []).append(in_a_process(case, back_end, folder))
+                    found = np.load(folder / "ours.npz")
+                    away = np.nan if peer_points is None else np.abs(found["points"] - peer_points).max()
+                    wrong = np.nan if peer_blocks is None else float(np.max(
+                        np.linalg.norm(found["covariance"] - peer_blocks, axis=(1, 2))
+                        / np.linalg.norm(peer_blocks, axis=(1, 2))))
+                    differ[back_end] = away, wrong
+            middle = {who: {key: float(np.median([r[key] for r in times])) for key in times[0]}
+                      for who, times in runs.items()}
+            peer = middle.get("Ceres", {"solve": np.nan, "covariance": np.nan})
+            for who in [w for w in middle if w != "Ceres"]:
+                mine = middle[who]
+                whole = mine["solve"] + mine["covariance"] + mine["redundancy"]
+                sizes.setdefault(who, []).append((readings, whole))
+                of_all = whole / (peer["solve"] + peer["covariance"]) if with_covariance else np.nan
+                cells = (case, str(readings), who, f"{mine['solve']:.3f}", f"{mine['covariance']:.3f}",
+                         f"{mine['redundancy']:.3f}", f"{mine['peak']:.0f} (+{mine['grown']:.0f})",
+                         f"{peer['solve']:.3f}", f"{peer['covariance']:.3f}" if with_covariance else "",
+                         _part(peer["solve"] / mine["solve"]), _part(1 / of_all),
+                         f"{1e9 * differ[who][0]:.2g}", f"{differ[who][1]:.1g}" if with_covariance else "")
+                print(f"| {' | '.join(cells)} |", flush=True)
+        if options.gtsam:
+            stations, points, each = parsed(options.cases[0])
+            peer = gtsam_time(network(stations, points, 1, each), options.repeats)
+            print(f"\nGTSAM, {options.cases[0]}: " + ("not installed" if peer is None else f"{peer[0]:.3f} s"))
+    for who, pairs in sizes.items():
+        if len(pairs) > 1:
+            exponent = np.polyfit(*np.log(np.array(pairs)).T, 1)[0]
+            print(f"\n{who}: time of everything against readings, exponent {exponent:.2f}")
+
+
+def _part(times: float) -> str:
+    return "" if np.isnan(times) else f"1/{times:.1f}"
 
 
 if __name__ == "__main__":

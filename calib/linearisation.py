@@ -25,7 +25,7 @@ from calib.system import System, Term
 from calib.uncertainty import Weighting
 from calib.unknown import Selection, Unknown
 
-STORED = 2_000_000  # derivatives of a group beyond which they are evaluated when they are asked for
+STORED = 200_000  # derivatives of a group beyond which they are evaluated when they are asked for
 
 
 class Derivatives(Sequence[Part]):

@@ -138,6 +138,13 @@ class Traced:
             self._programs[key] = Program([ca.vertcat(*self.symbols.ambient), weights], flat)
         return self._programs[key]
 
+    def bent_pairs(self, wanted: tuple[bool, ...]) -> tuple[list[int], list[int]]:
+        """Places among the wanted steps whose second derivatives may differ from zero, as two lists."""
+        weights, steps = ca.SX.sym("weights", self.dim), ca.vertcat(*self._wanted(wanted))
+        hessian = ca.hessian(ca.dot(weights, self.prediction), steps)[0]
+        first, second = hessian.sparsity().get_triplet()
+        return first, second
+
     def function(self) -> ca.Function:
         """CasADi function (stored numbers and data, steps) -> prediction, for solvers that differentiate themselves."""
         return ca.Function(

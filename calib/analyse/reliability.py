@@ -164,7 +164,7 @@ def _variance(fit: Linearisation, first: Derived, second: Derived) -> Array:
         for k, (b, right) in enumerate(second):
             if first is second and k < i:
                 continue
-            between = fit.factor.between(position[a], position[b]).transpose(1, 2, 0)
+            between = np.ascontiguousarray(fit.factor.between(position[a], position[b]).transpose(1, 2, 0))
             both = np.einsum("gdm,gdm->dm", np.einsum("fdm,fgm->gdm", left, between), right)
             total = total + (2 * both if first is second and k > i else both)
     return total

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from calib.layout import Layout
 from calib.normal import NormalEquations
 from calib.pattern import pattern_of
 from calib.solve.method import Method, Outcome, missing_readings
+from calib.solve.projection import affine_columns, projected
 from calib.system import System, Values
 from calib.uncertainty import Weighting
 from calib.unknown import Unknown
@@ -45,21 +47,44 @@ class GaussNewton(Method):
         return missing_readings(system.problem)
 
     def minimise(self, system: System, start: Values) -> Outcome:
-        layout, values = system.layout, _into_bounds(system, dict(start))
+        values = _into_bounds(system, dict(start))
         weightings = system.weightings(values)
         here = _Point.at(system, values, weightings)
         if not np.isfinite(here.objective):
             system.blocks(values, weightings)  # raises the sentence that names row and model
-        damping, growth, penalty, last = 0.0, 2.0, 0.0, float("inf")
+        outcome, faded = self._descend(system, here, weightings, np.zeros(0, dtype=np.int64), 0.0)
+        large = len(system.layout.free_columns) > elimination.DENSE_SIZE
+        if (outcome.converged and not faded) or system.conditions or large:
+            return outcome
+        # A far start: once more from there with short steps, what is affine always at its best.
+        affine = affine_columns(system)
+        near = _Point.at(system, projected(system, values, weightings, affine), weightings)
+        begin, iterations = near if near.objective < here.objective else here, outcome.iterations
+        for damping in (1.0, 1e3, 1e6):
+            again, faded = self._descend(system, begin, weightings, np.flatnonzero(affine), damping)
+            iterations += again.iterations
+            if again.converged:  # a direction that no reading sees stays unseen
+                return outcome if faded else replace(again, iterations=iterations)
+        return outcome
+
+    def _descend(self, system: System, here: _Point, weightings: Sequence[Weighting], affine: NDArray[np.int64],
+                 damping: float) -> tuple[Outcome, bool]:
+        """Go down from a point; and whether a direction is seen by no reading where it ended.
+
+        affine: free columns that are set to their best after each step and not damped; damping: to begin with.
+        """
+        layout, growth, penalty, last = system.layout, 2.0, 0.0, float("inf")
         lengths, slow = here.squares, 0
         message = "stopped at the limit of iterations"
         for iteration in range(1, self.iterations + 1):
             lengths = np.maximum(lengths, here.squares)  # as MINPACK: a column that fades does not lose its damping
+            lengths[affine] = 0.0
             pins, room = _active(system, here.values, here.pull)
             conditions = here.conditions.pinned(pins, np.zeros(len(pins)))
             undamped = here.factor(layout, conditions)
             remaining = undamped.decrement
-            still = remaining >= 0.5 * last or (remaining <= 1e-6 and remaining <= 1e-3 * last)
+            # at a standstill, or where the next step would be too small by the rate of the last
+            still = remaining >= 0.5 * last or (remaining <= 1e-6 and remaining**2 <= self.tolerance * last)
             if here.infeasible <= 1e-3 and (
                 remaining <= self.tolerance
                 or (still and damping == 0.0
@@ -67,7 +92,7 @@ class GaussNewton(Method):
             ):
                 arrived = _moved(layout, here.values, undamped.step, room)
                 if system.active_conditions(arrived)[2] <= 1.0:  # a bent condition may be left by the last step
-                    return Outcome(arrived, True, iteration, "converged")
+                    return Outcome(arrived, True, iteration, "converged"), undamped.defect > 0
             slow, last = slow + 1 if remaining > 0.3 * last else 0, remaining
             multipliers = (
                 np.linalg.lstsq(conditions.matrix.T, here.pull, rcond=None)[0]
@@ -90,7 +115,7 @@ class GaussNewton(Method):
                         if damping == 0.0
                         else here.factor(layout, conditions, damping * lengths).step
                     )
-                there = _Point.at(system, _moved(layout, here.values, step, room), weightings)
+                there = _Point.moved(system, here.values, step, room, weightings, affine)
                 promised = here.promised(layout, step) + penalty * here.infeasible - bent
                 gained = here.objective - there.objective + penalty * (here.infeasible - there.infeasible)
                 ratio = gained / promised if promised > 0 else -1.0
@@ -107,7 +132,7 @@ class GaussNewton(Method):
             here, growth = there, 2.0
             damping *= max(1 / 5, 1 - (2 * min(max(ratio, 0.0), 1.0) - 1) ** 3)
             damping = damping if damping > 1e-9 and remaining > 1e-2 else 0.0
-        return Outcome(here.values, False, iteration, _contradiction(system, here.values) or message)
+        return Outcome(here.values, False, iteration, _contradiction(system, here.values) or message), False
 
 
 @dataclass(frozen=True)
@@ -159,6 +184,18 @@ class _Point:
             objective if sound else np.inf,
             float(np.abs(excess / tolerance).sum()),
         )
+
+    @staticmethod
+    def moved(system: System, values: Values, step: Array, room: tuple[Array, Array],
+              weightings: Sequence[Weighting], affine: NDArray[np.int64]) -> _Point:
+        """The point a step (p,) away, with affine free columns at their best."""
+        there = _moved(system.layout, values, step, room)
+        if len(affine):
+            columns = np.zeros(len(step), dtype=bool)
+            columns[affine] = True
+            with suppress(ModelBreakdown):
+                there = projected(system, there, weightings, columns)
+        return _Point.at(system, there, weightings)
 
     def factor(self, layout: Layout, conditions: Conditions, damping: Array | None = None) -> Factor:
         """Factor of the normal equations within conditions; damping (p,) is added to their diagonal."""
