@@ -51,3 +51,65 @@ def test_what_cannot_be_chosen_is_refused_with_exit_status_two(calib, job):
                         (("--keep", 9, "--redundancy", 0.95), "ask for that at most")):
         answer = calib("select", job, *words)
         assert answer.status == 2 and said in answer.error, (words, answer.error)
+
+
+def test_costs_and_exclusions_of_the_command_line_hold(calib, job):
+    answer = calib("select", job, "--keep", 8, "--exclusive", "tracker row 1|tracker row 2", "--budget", 20, "--always",
+                   "tracker=1-2", "--at-most", "line=5", "--json")
+    assert answer.status == 2 and "no candidate 'tracker row 1'" in answer.error      # it is there in any case
+    answer = calib("select", job, "--keep", 8, "--exclusive", "tracker row 3|tracker row 4", "--budget", 20, "--always",
+                   "tracker=1-2", "--at-most", "line=5", "--json")
+    assert answer.status == 0, answer.error
+    rows = set(json.loads(answer.out)["rows"])
+    assert len(rows) == 8 and not rows & {1, 2} and not {3, 4} <= rows
+    assert sum(row <= 15 for row in rows) <= 5 and sum(row > 15 for row in rows) <= 5
+
+
+def test_floors_of_biases_are_given_with_their_units(calib, job):
+    answer = calib("select", job, "--keep", 14, "--influence", "base_point.z=80 um", "--json")
+    assert answer.status == 0, answer.error
+    for words, said in ((("--mdb", "tracker=5 arcsec"), "length is wanted"), (("--mdb", "trackr=5 um"), "no group"),
+                        (("--influence", "base_point.z"), "NAME=VALUE"),
+                        (("--influence", "base_pint=1 um"), "did you mean 'base_point")):
+        answer = calib("select", job, "--keep", 14, *words)
+        assert answer.status == 2 and said in answer.error, (words, answer.error)
+
+
+def test_the_next_best_measurement_is_ranked_beside_what_is_there(calib, job):
+    answer = calib("select", job, "--next", "--criterion", "c", "--quantity", "base_point.z", "--always",
+                   "tracker=1-10,16-20", "--json")
+    assert answer.status == 0, answer.error
+    ranking = json.loads(answer.out)["next"]
+    assert len(ranking) == 15 and ranking[0]["ratio"] == min(one["ratio"] for one in ranking) < 1
+    said = calib("select", job, "--next", "--criterion", "c", "--quantity", "base_point.z", "--always", "tracker=1-20")
+    assert said.status == 0 and "best of 10 further measurements" in said.out
+    for words, told in ((("--next",), "say what is there already"), ((), "say how many candidates to keep"),
+                        (("--next", "--keep", 3, "--always", "tracker=1-10"), "with --next leave it out"),
+                        (("--next", "--always", "tracker=1-10x"), "rows are written as 1-20,25"),
+                        (("--next", "--always", "trackr=1-10"), "did you mean 'tracker'")):
+        answer = calib("select", job, *words)
+        assert answer.status == 2 and told in answer.error, (words, answer.error)
+
+
+def test_the_measurement_that_separates_two_effects_is_ranked_and_said_where_none_does(calib, job):
+    two = ("scale (x)", "scale (y)")
+    answer = calib("select", job, "--next", "--separate", *two, "--always", "tracker=1-16", "--json")
+    assert answer.status == 0, answer.error
+    found = json.loads(answer.out)
+    # One reading on the second line does not tell the two scales apart; its far end does best.
+    assert found["next"][0]["candidate"] == "tracker row 30" and found["next"][0]["ratio"] == 0.0
+    said = calib("select", job, "--next", "--separate", *two, "--always", "tracker=1-16")
+    assert "only with it" in said.out and "'scale (x)' and 'scale (y)' apart" in said.out
+    none = calib("select", job, "--next", "--separate", *two, "--always", "tracker=1-10")
+    assert none.status == 0 and "no single one of 20 further measurements is enough" in none.out
+
+
+def test_the_worst_of_two_jobs_counts(calib, job, tmp_path):
+    other = tmp_path / "other"
+    other.mkdir()
+    for name, text in base_point.example_job(2).items():
+        (other / name).write_text(text, encoding="utf-8")
+    found = [json.loads(calib("select", job, "--keep", 9, "--criterion", "A", "--quantity", "base_point", "--json",
+                              *words).out) for words in ((), ("--worst-case", other / "job.toml"))]
+    assert found[1]["criterion"] == "worst A" and found[1]["value"] >= found[0]["value"] * (1 - 1e-9)
+    assert found[1]["unit"] == "mm^2"

@@ -58,6 +58,9 @@ def ranking(problem: str, job: str, what: str, further: Sequence[Next], provenan
 
 def ranked(what: str, further: Sequence[Next], most: int) -> list[str]:
     """The first of single further measurements, one line each, best first."""
+    if all(not np.isfinite(one.value) for one in further):
+        return [f"no single one of {len(further)} further measurements is enough: {what}; measure more than one, or "
+                "what is not among them"]
     if all(one.ratio >= 1.0 for one in further):
         return [f"none of {len(further)} candidates changes it: {what}"]
     lines = [f"best of {len(further)} further measurements: {what}, and its ratio to that without it"]

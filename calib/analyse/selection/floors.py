@@ -70,13 +70,15 @@ class Checked:
             raise InputError(f"floors: there is no group '{strange[0]}'; there are {', '.join(groups)}")
         self.readings: Readings = readings_of(candidates)
         self.mdb = np.array([floors.mdb.get(name, np.inf) for name in self.readings.groups])
-        names, rows, limits = [], [np.zeros((0, candidates.rank))], []
+        names, shown, rows, limits = [], [], [np.zeros((0, candidates.rank))], []
         for what, limit in floors.influence.items():
             functions = functions_of(fit, what)
             scale = np.array([units.factor(unit) for unit in functions.units])
             names += list(functions.labels)
+            shown += list(functions.units)
             rows.append(candidates.functions(functions) * scale[:, None])
             limits += [limit] * len(functions.labels)
+        self.units = shown
         self.names, self.influence, self.limit = names, np.concatenate(rows), np.array(limits)
 
     @property
@@ -142,19 +144,25 @@ class Checked:
         root = self._root(weights)
         if root is None:
             return Margin(np.inf, np.inf, "the unknowns are not determined")
-        parts = [(self.floors.redundancy - redundancy - SAME,
-                  "redundancy {:.3g} instead of " + f"{self.floors.redundancy:g}", redundancy)]
+        parts: list[tuple[Array, Array, Any, str]] = [
+            (self.floors.redundancy - redundancy - SAME, redundancy, self.floors.redundancy, "redundancy")]
         limit = self.mdb[kept]
-        parts.append((np.where(np.isfinite(limit), mdb / limit - 1.0 - SAME, -np.inf),
-                      "minimal detectable bias {:.3g} (SI) above its limit", mdb))
+        parts.append((np.where(np.isfinite(limit), mdb / limit - 1.0 - SAME, -np.inf), mdb, limit,
+                      "minimal detectable bias"))
         change = np.abs(self.readings.right[kept] @ root @ (self.influence @ root).T) * mdb[:, None]
         for k, name in enumerate(self.names):
-            parts.append((change[:, k] / self.limit[k] - 1.0 - SAME,
-                          f"influence on {name} {{:.3g}} (SI) instead of {self.limit[k]:.3g}", change[:, k]))
+            parts.append((change[:, k] / self.limit[k] - 1.0 - SAME, change[:, k], self.limit[k],
+                          f"influence on {name}"))
         worst = max(parts, key=lambda part: float(part[0].max(initial=-np.inf)))
         if not kept.any():
             return Margin(-np.inf, 0.0, "no reading is kept")
         place = int(np.argmax(worst[0]))
-        label = self.readings.labels[int(np.flatnonzero(kept)[place])]
+        reading = int(np.flatnonzero(kept)[place])
+        influences = [f"influence on {name}" for name in self.names]
+        unit = self.units[influences.index(worst[3])] if worst[3] in influences else \
+            "1" if worst[3] == "redundancy" else self.readings.units[reading]
+        shown = [float(np.broadcast_to(each, len(redundancy))[place]) / units.factor(unit) for each in worst[1:3]]
+        words = f"{self.readings.labels[reading]}: {worst[3]} {shown[0]:.3g} instead of {shown[1]:.3g}"
+        words += "" if unit == "1" else f" {unit}"
         broken = float(sum(np.sum(np.maximum(part[0], 0.0) ** 2) for part in parts))
-        return Margin(float(worst[0][place]), broken, f"{label}: {worst[1].format(worst[2][place])}")
+        return Margin(float(worst[0][place]), broken, words)

@@ -16,7 +16,7 @@ UNCHECKED = 1e-12
 
 @dataclass(frozen=True)
 class Readings:
-    """N scalar readings: group, label and candidate of each (-1 where it is always kept).
+    """N scalar readings: group, label, display unit and candidate of each (-1 where it is always kept).
 
     left, right: (N, p) derivatives of the readings and of P times the readings, free of what each candidate spends on
     unknowns of its own; base: (N,) redundancy, and weight: (N,) of P Q_vv P, before anything is spent on what
@@ -25,6 +25,7 @@ class Readings:
 
     groups: tuple[str, ...]
     labels: tuple[str, ...]
+    units: tuple[str, ...]
     owner: NDArray[np.int64]
     left: Array
     right: Array
@@ -49,6 +50,7 @@ def readings_of(candidates: Candidates) -> Readings:
     fit = candidates.fit
     groups: list[str] = []
     labels: list[str] = []
+    units: list[str] = []
     owners, plains, weighteds, weights, independent = [], [], [], [], True
     for group in fit.groups:
         if group.is_prior:
@@ -58,6 +60,7 @@ def readings_of(candidates: Candidates) -> Readings:
         dim = group.residual.shape[1]
         groups += [group.name] * (len(group.rows) * dim)
         labels += [f"{group.name} row {r}{' ' + c if c else ''}" for r in group.rows for c in group.components]
+        units += list(group.units) * len(group.rows)
         owners.append(np.repeat(candidates.members[group.name], dim))
         plains.append(plain)
         weighteds.append(weighted)
@@ -66,8 +69,8 @@ def readings_of(candidates: Candidates) -> Readings:
     base = np.ones(len(owner))
     if not candidates.shared.all():
         left, right, base, weight = _without_own_unknowns(candidates, owner, left, right, weight)
-    return Readings(tuple(groups), tuple(labels), owner, left @ candidates.root, right @ candidates.root, base, weight,
-                    independent)
+    return Readings(tuple(groups), tuple(labels), tuple(units), owner, left @ candidates.root,
+                    right @ candidates.root, base, weight, independent)
 
 
 def _derivatives(candidates: Candidates, group: Group) -> tuple[Array, Array, Array, bool]:
