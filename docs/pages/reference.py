@@ -75,8 +75,10 @@ def _method(title: str, name: str, one: Any) -> str:
 
 
 def _signature(title: str, thing: Any) -> str:
+    own = thing.__init__ if inspect.isclass(thing) and "__init__" in vars(thing) else thing
     try:
-        signature = str(inspect.signature(thing)).replace("'", "")
+        signature = str(inspect.signature(own)).replace("'", "")
+        signature = signature.replace("(self, ", "(").replace("(self)", "()").removesuffix(" -> None")
     except (TypeError, ValueError):
         signature = ""
     if len(signature) > 600:

@@ -17,7 +17,9 @@ def write(static: Path) -> None:
     page = (TEMPLATES / "page.html.j2").read_text(encoding="utf-8")
     light, dark = re.findall(r":root \{(.*?)\}", page, flags=re.DOTALL)[:2]
     light = light.replace("color-scheme: light dark;", "")
-    rules = [line for line in page.splitlines() if line.startswith(TAKEN)]
+    # The theme has drawings of its own: only those in figures are ours.
+    rules = [f"figure {line}" if line.startswith("svg ") else line for line in page.splitlines()
+             if line.startswith(TAKEN)]
     text = [f"body {{ {light} }}", f'body[data-theme="dark"] {{ {dark} }}',
             f'@media (prefers-color-scheme: dark) {{ body:not([data-theme="light"]) {{ {dark} }} }}',
             "figure { margin: 1rem 0; }", ".gallery img { width: 100%; }", *rules]
