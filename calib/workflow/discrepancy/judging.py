@@ -16,7 +16,7 @@ from calib.workflow.discrepancy.search import Finding, Shares, noise_scale, sear
 from calib.workflow.discrepancy.structure import MOST, Place, Screen, described
 
 RARE = 6.0  # what a blunder costs beside its choice: readings go wrong less often than noise is misjudged
-WAYS = 3  # in which the noise is looked at: its size, its tails, its evenness and memory
+WAYS = 4  # in which the noise is looked at: its size, its tails, its evenness, its memory
 ADVANTAGE = 6.0  # by which peculiar noise must beat plain noise, and a structure without a name a named effect
 ODD = 8.0  # what it costs to assume noise that is not as stated beside something else: two causes where one may do
 
@@ -128,8 +128,8 @@ def failed_looks(scene: Scene, best: Account, level: float, seed: int) -> tuple[
     left, scale = best.finding.left, best.finding.scale
     if best.noise.kind in (UNEVEN, HEAVY, SERIAL):
         left = replace(scene.field, signals=(), sizes=()) if not best.finding.effects else left
-    looks, count = noise_tests(left, scene.channels, scale, seed)
-    tests = [(size_test(left), 1.0), (tail_test(left), 1.0), *((one, count) for one in looks)]
+    looks, counts = noise_tests(left, scene.channels, scale, seed)
+    tests = [(size_test(left), 1.0), (tail_test(left), 1.0), *((one, counts[one.what]) for one in looks)]
     failed = [one for one, among in tests if corrected(one.p_value, WAYS * among) <= level]
     size, heavy = tests[0][0], tests[1][0]
     if heavy in failed and size.p_value < heavy.p_value and best.noise.kind != HEAVY:

@@ -87,8 +87,10 @@ def standardised(field: Field) -> tuple[Array, float]:
     return standard, max(field.dof, 1) / max(len(standard), 1)
 
 
-def noise_tests(field: Field, channels: Sequence[Channel], scale: float, seed: int) -> tuple[list[NoiseTest], float]:
-    """Looks at uneven size and serial correlation of what is left, and how many independent looks they are.
+def noise_tests(
+    field: Field, channels: Sequence[Channel], scale: float, seed: int
+) -> tuple[list[NoiseTest], dict[str, float]]:
+    """Looks at uneven size and serial correlation of what is left, and how many independent looks each of the two is.
 
     field: residuals after everything found is taken; scale: variance of the noise; seed: of the simulated residuals
     that each look is judged against.
@@ -101,7 +103,7 @@ def noise_tests(field: Field, channels: Sequence[Channel], scale: float, seed: i
         names.append((what, where))
         figures.append(values)
     if not figures:
-        return [], 1.0
+        return [], {}
     every = np.concatenate(figures)
     drawn = every[:, 1:]
     from scipy.special import erfc
@@ -110,7 +112,11 @@ def noise_tests(field: Field, channels: Sequence[Channel], scale: float, seed: i
     p = erfc(z / np.sqrt(2))
     tests = [NoiseTest(*name, float(figure), float(one)) for name, figure, one in
              zip(names, every[:, 0], p[:, 0], strict=True)]
-    return tests, effective_looks(p[:, 1:].min(axis=0), len(tests))
+    looks = {}
+    for what in dict.fromkeys(what for what, _ in names):
+        of = [i for i, (kind, _) in enumerate(names) if kind == what]
+        looks[what] = effective_looks(p[of, 1:].min(axis=0), len(of))
+    return tests, looks
 
 
 def _looks(standard: Array, channels: Sequence[Channel]) -> Iterator[tuple[str, str, Array]]:
