@@ -26,7 +26,7 @@ from calib.linearisation import linearise_system
 from calib.system import System
 from calib.workflow.montecarlo import Adaptive
 from calib.workflow.propagation import verdict
-from calib.workflow.trials import BLOCK, LargeTrials, SmallTrials, trials_of
+from calib.workflow.trials import BLOCK, FactoredTrials, LargeTrials, SmallTrials, trials_of
 
 
 def agree(found, stated, trials):
@@ -245,6 +245,26 @@ def test_a_limit_of_trials_is_kept_and_said():
     estimate = solve(problem.with_quantities(Quantity("offset", lambda a: a, offset)))
     result = montecarlo(estimate, Adaptive(digits=4, largest=30_000), seed=14)
     assert len(result.samples) == 30_000 and not result.stability.reached
+
+
+def test_trials_with_the_factor_of_the_truth_are_those_with_their_own():
+    problem, _, point = network(3, 12, 1)
+    problem = problem.with_quantities(Quantity("points", lambda p: p, point.each, unit="mm", keys=point.keys))
+    estimate = solve(problem)
+    system, truth = System(problem), dict(estimate.values)
+    fit = linearise_system(system, truth)
+    (own, first), (factored, second) = (
+        kind(system, fit, truth, problem.quantities, 20).sample(16, 2, 20) for kind in (LargeTrials, FactoredTrials))
+    assert first.all() and second.all()
+    assert np.abs((own - factored) / covariance(fit, "points").u).max() < 1e-6
+
+
+def test_the_derivatives_of_a_large_problem_are_not_stored():
+    problem, _, point = network(4, 60, 1)
+    problem = problem.with_quantities(Quantity("point", lambda p: p, point[0], unit="mm"))
+    estimate = solve(problem)
+    system, truth = System(problem), dict(estimate.values)
+    assert isinstance(trials_of(system, linearise_system(system, truth), truth, problem.quantities, 20), FactoredTrials)
 
 
 # --- bounds -------------------------------------------------------------------------------------------------------

@@ -62,7 +62,7 @@ class Lanes:
         for term, weighting, reading in zip(self.system.terms, self.weightings, readings, strict=True):
             predicted, matrix = self.derived(term, values, trials)
             residual = reading - predicted
-            _unwrap(term, residual)
+            unwrap(term, residual)
             for mixing in weighting.whitening:
                 residuals.append(mix(mixing, residual[..., None]).reshape(trials, -1))
                 matrices.append(mix(mixing, matrix).reshape(trials, -1, self.size))
@@ -147,7 +147,8 @@ def is_bounded(unknown: Unknown) -> bool:
     return unknown.kind == "vector" and bool(np.isfinite(unknown.lower).any() or np.isfinite(unknown.upper).any())
 
 
-def _unwrap(term: Term[Observations], residual: Array) -> None:
+def unwrap(term: Term[Observations], residual: Array) -> None:
+    """Take whole periods out of residuals (..., dim) of periodic readings, in place."""
     period = term.bound.period
     if period is not None:
         for j, each in enumerate([period] * term.dim if np.ndim(period) == 0 else period):

@@ -11,15 +11,16 @@ from numpy.typing import NDArray
 from calib.analyse.covariance import Considered, considered
 from calib.blocks import Array
 from calib.compiled import pays
-from calib.linearisation import Linearisation, linearise_system
+from calib.linearisation import Linearisation, linearise_system, pulled
 from calib.observations import Quantity
 from calib.solve.unrolled import is_small, unrolled
 from calib.system import System
 from calib.unknown import Unknown
-from calib.workflow.lanes import STEPS, Lanes, is_bounded, mix
+from calib.workflow.lanes import STEPS, Lanes, is_bounded, mix, unwrap
 
 BLOCK = 5_000  # trials of one stream of random numbers
 LANE_NUMBERS = 4_000_000  # numbers in the derivatives of one block where these are stored
+FACTORED_NUMBERS = 100_000  # numbers in the derivatives of one trial from which on none are stored
 
 
 class Trials(Protocol):
@@ -48,6 +49,9 @@ def trials_of(
     bounded = any(is_bounded(u) and system.layout.free[system.layout.span(u)].any() for u in system.layout.unknowns)
     if is_small(system) and not fit.factor.defect and not bounded:
         return SmallTrials(system, fit, truth, quantities, expected)
+    numbers = sum(group.size for group in fit.groups) * len(system.layout.free_columns)
+    if numbers > FACTORED_NUMBERS and not (bounded or system.conditions or fit.factor.defect):
+        return FactoredTrials(system, fit, truth, quantities, expected)
     return LargeTrials(system, fit, truth, quantities, expected)
 
 
@@ -202,3 +206,45 @@ class LargeTrials:
                 predicted = np.where(group.counted[:, None], predicted, group.predicted)
             readings.append(predicted + errors)
         return readings
+
+
+class FactoredTrials(LargeTrials):
+    """Trials of a problem whose derivatives fill the memory: one after the other, each with the factor of the truth.
+
+    Trials lie so near the truth that its normal matrix leads to their solution in few more steps than their own would;
+    where a trial stops, its own residuals pull nowhere.
+    """
+
+    def __init__(
+        self, system: System, fit: Linearisation, truth: dict[Unknown, Array], quantities: Sequence[Quantity],
+        expected: int,
+    ):
+        super().__init__(system, fit, truth, quantities, expected)
+        self.block = max(1, min(100, LANE_NUMBERS // max(1, sum(g.residual.size for g in fit.groups))))
+
+    def sample(self, seed: int, number: int, count: int) -> tuple[Array, NDArray[np.bool_]]:
+        """Results (count, k) of the first trials of a block, and which of them converged."""
+        readings, results, good = self._draw(*streams(seed, number), count), [], np.zeros(count, dtype=bool)
+        for trial in range(count):
+            values, good[trial] = self._solved([reading[trial] for reading in readings])
+            results.append(self._lanes.functions(self._quantities, values, 1)[0])
+        return np.array(results), good
+
+    def _solved(self, readings: Sequence[Array]) -> tuple[dict[Unknown, Array], bool]:
+        layout, values = self._system.layout, self._truth
+        full, remaining = np.zeros(layout.size), np.inf
+        for _ in range(STEPS):
+            blocks = []
+            for term, group, reading in zip(self._system.terms, self._fit.groups, readings, strict=True):
+                predicted, parts = term.derive(values)
+                residual = reading - predicted
+                unwrap(term, residual)
+                blocks += [mixing.apply(residual, parts) for mixing in group.weighting.whitening]
+            pull = pulled(blocks, [block.residual for block in blocks], layout)
+            step = self._fit.factor.solve(pull[:, None])[:, 0]
+            previous, remaining = remaining, float(np.sqrt(max(0.0, float(pull @ step))))
+            full[layout.free_columns] = step
+            values = layout.move(values, full)
+            if remaining < 1e-8 or 0.3 * previous < remaining < 1e-5 or not np.isfinite(remaining):
+                break
+        return values, remaining < 1e-5
