@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -47,14 +48,15 @@ def discover(
     read = Job.read(job, data_folder)
     module = catalogue.module(read.problem, problem_file)
     problem = declared(read, module)
-    remarks: tuple[str, ...] = ()
-    more: dict[str, Any] = {}
+    grown, remarks, more = "", tuple[str, ...](), dict[str, Any]()
     if growing:
-        problem, remarks, more = _grown(read, module, problem, output)
+        problem, grown, remarks, more = _grown(read, module, problem, output)
     check, remark = held_out_rows(read, problem)
     with output.progress(f"explaining {job.name}", 1) as step:
         found = explain(problem, level, check, remarks=(*remarks, *((remark,) if remark else ())))
         step()
+    if grown:
+        found = replace(found, sentence=f"{grown} Of what is left then: {found.sentence}")
     shown = Shown(found, level)
     empirical = kept(found, check) if keep_structure and found.structure else None
     if empirical is not None:
@@ -88,8 +90,8 @@ def _say_kept(output: Output, empirical: Empirical) -> None:
 
 def _grown(
     job: Job, module: ModuleType, problem: Problem, output: Output
-) -> tuple[Problem, tuple[str, ...], dict[str, Any]]:
-    """The grown problem, what was added and what it brought as sentences and as content of the answer."""
+) -> tuple[Problem, str, tuple[str, ...], dict[str, Any]]:
+    """The grown problem, what was added in a sentence, what it brought as sentences and as content of the answer."""
     from calib.analyse.covariance import covariance
     from calib.workflow.growth import blocks_of, grow
 
@@ -106,7 +108,7 @@ def _grown(
     found = covariance(fit, *map(problem.parameters, effects)).displayed if effects else ()
     values = [{"name": name, "value": value, "u": u, "unit": unit} for name, value, u, unit in found]
     added = {"steps": files.plain(growth.steps), "values": values}
-    return growth.problem, (growth.sentence, *words), {"added": added, "heldout": heldout}
+    return growth.problem, growth.sentence, tuple(words), {"added": added, "heldout": heldout}
 
 
 def _name(job: Job) -> str:
