@@ -11,7 +11,7 @@ import numpy as np
 
 from calib import Effect, Gaussian, Observations, Problem, Quantity, Unknown
 from calib.errors import InputError
-from calib.mechanism import Load, Mechanism, bending, encoder_harmonic, location_errors, observe, sag, urdf
+from calib.mechanism import Axis, Load, Mechanism, bending, encoder_harmonic, location_errors, observe, sag, urdf
 from calib.mechanism.chain import STANDARD_GRAVITY
 from calib.mechanism.drive import soft_windup
 from calib.mechanism.sensitivity import place_by_positions
@@ -63,9 +63,16 @@ def effects(arm: Arm, orders: tuple[int, ...] = (1,), knee: float = KNEE) -> tup
     return (*location_errors(mechanism, [a.name for a in mechanism.axes[1:]]),
             *(sag(mechanism, axis) for axis in bearing),
             *(soft_windup(mechanism, axis, knee * arm.efforts[axis.name] / weight)
-              for axis in bearing if axis.name in arm.efforts),
+              for axis in bearing if axis.name in arm.efforts and not _stays_plumb(mechanism, axis)),
             *(bending(mechanism, axis) for axis in mechanism.axes if loads),
             *(encoder_harmonic(axis, order) for axis in mechanism.axes for order in orders))
+
+
+def _stays_plumb(mechanism: Mechanism, axis: Axis) -> bool:
+    """Whether an axis is vertical in every posture, so that no weight ever turns it."""
+    before = [mechanism.axis(axis.carried_by)] if axis.carried_by else []
+    along = abs(float(np.dot(np.asarray(axis.direction), np.asarray(mechanism.down))))
+    return along > 1 - 1e-9 and all(_stays_plumb(mechanism, one) for one in before)
 
 
 def declare(arm: Arm, placements: Mapping[str, Sequence[np.ndarray]], u_seat: float, distance: float | None,
