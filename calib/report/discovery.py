@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RANKED = 14  # candidates in the ranking
-DRAWN = 3  # channels whose residuals are drawn
+DRAWN = 2  # channels whose residuals are drawn, or as many as effects were named
 FEW = 6  # values of a covariate that are marked one by one
 LISTED = 30  # rows of a table that somebody reads
 
@@ -49,7 +49,7 @@ def html(case: str, shown: Shown, provenance: Provenance) -> str:
         gap=_gap(shown),
         results=_results(shown),
         drawings=[Drawing.of(_before_and_after(one), f"gap {i}", one.caption)
-                  for i, one in enumerate(pictures(shown, DRAWN))],
+                  for i, one in enumerate(pictures(shown, max(DRAWN, len(found.effects))))],
         ranking=_ranking(found),
         alias_map=_alias_map(separation(shown)),
         detectable=_detectable(shown),
@@ -116,8 +116,12 @@ def _detectable(shown: Shown) -> Grid | None:
 
 
 def _before_and_after(one: Picture) -> Figure:
-    figure, whole = plots.canvas(2.9)
-    whole.remove()
+    from matplotlib.figure import Figure
+
+    height = 2.9
+    figure = Figure(figsize=(plots.WIDTH, height))
+    figure.subplots_adjust(left=0.74 / plots.WIDTH, right=1 - 0.08 / plots.WIDTH, bottom=0.48 / height,
+                           top=1 - 0.26 / height)
     panels = [(one.before, "before"), (one.after, "after")]
     if np.array_equal(one.before, one.after):
         panels = [(one.before, "as the nominal model leaves them")]

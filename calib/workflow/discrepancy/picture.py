@@ -79,7 +79,7 @@ def _betraying(shown: Shown, lines: Sequence[Channel]) -> Iterator[tuple[Channel
             best = max(drivers, key=lambda name: _followed(added[channel.places], channel.covariates[name]))
             x, unit = channel.covariates[best], channel.units.get(best, "1")
         else:
-            best, x, unit = f"what {one.name} ({one.channel}) adds beside the unknowns / u", added[channel.places], "1"
+            best, x, unit = f"{one.name} ({one.channel}), net / u", added[channel.places], "1"
         yield channel, best, x, unit, added[channel.places]
 
 
@@ -118,7 +118,7 @@ def _picture(
     key = _key(channel, label, x, added)
     keys = channel.covariates[key] if key else np.zeros(len(x), dtype=int)
     name = label.replace("_", " ")
-    against = name.removesuffix(" / u")
+    against = name.replace(", net / u", " as it shows beside the unknowns")
     caption = f"{channel.name}: residual in units of u against {against}; the band holds 95 % of good readings."
     return Picture(x, before[channel.places], after[channel.places], np.asarray(keys), key,
                    name if shown == "1" else f"{name} / {shown}", caption)
