@@ -343,7 +343,8 @@ def linearise_system(system: System, values: Mapping[Unknown, Array]) -> Lineari
         )
     equal, unequal, _ = system.active_conditions(values)
     matrix = np.concatenate([equal, unequal])[:, layout.free_columns]
-    pins = np.union1d(*system.at_bounds(values))
+    low, high = system.at_bounds(values)
+    pins = np.flatnonzero(low | high)
     conditions = Conditions(matrix, np.zeros(len(matrix))).pinned(pins, np.zeros(len(pins)))
     results = {}
     for quantity in system.problem.quantities:

@@ -386,10 +386,10 @@ class System:
             if term.n and not term.traced.affine and any(term.any_free)
         ]
 
-    def at_bounds(self, values: Values) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Places among the free columns that sit at their lower and at their upper bound."""
+    def at_bounds(self, values: Values) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which free columns (p,) sit at their lower, and which at their upper bound."""
         lower, upper = (room[self.layout.free_columns] for room in self.layout.bounds(values))
-        return np.flatnonzero(lower >= 0), np.flatnonzero(upper <= 0)
+        return lower >= 0, upper <= 0
 
     def result(self, quantity: Quantity, values: Values) -> tuple[Array, Array]:
         """Values (n, dim) of a quantity and their derivatives (n dim, size) with respect to all columns."""

@@ -64,10 +64,10 @@ def certify(
         )
     pull = fit.pull
     low, high = system.at_bounds(values)
-    pins = np.union1d(low, high)
+    pins = low | high
     stationarity = float(np.sqrt(factor.covariance(pull[None])[0, 0]))
     multipliers = np.linalg.lstsq(conditions.matrix.T, pull, rcond=None)[0] if len(conditions.target) else np.zeros(0)
-    signs = _signs_hold(multipliers, len(equal), len(unequal), np.isin(pins, low), np.isin(pins, high))
+    signs = _signs_hold(multipliers, len(equal), len(unequal), low[pins], high[pins])
     curvature = None
     if len(layout.free_columns) <= CURVATURE_SIZE and not factor.defect:
         bend = system.bend(values, weightings, multipliers[: len(equal) + len(unequal)])

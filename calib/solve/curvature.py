@@ -9,7 +9,7 @@ Analysis and Applications 13(4), theorem 4.2.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -21,6 +21,21 @@ KNOWN = 1e-3  # to which the smallest curvature is wanted, where it is not small
 STEPS = 200
 
 
+def _normals(shapes: Sequence[tuple[int, ...]]) -> list[Array]:
+    """Normal deviates, always the same ones; to load numpy.random takes longer than to solve a small problem.
+
+    Source: Steele, Lea, Flood (2014), OOPSLA, for the generator.
+    """
+    sizes = [math.prod(shape) for shape in shapes]
+    state = np.arange(1, 2 * sum(sizes) + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    first, second = ((state ^ (state >> np.uint64(31))) >> np.uint64(11)).reshape(2, -1) * 2.0**-53
+    normal = np.sqrt(-2.0 * np.log1p(-first)) * np.cos(2.0 * np.pi * second)
+    ends = np.cumsum(sizes)
+    return [normal[e - n : e].reshape(shape) for e, n, shape in zip(ends, sizes, shapes, strict=True)]
+
+
 def smallest_curvature(bend: Callable[[Array], Array], fit: Linearisation) -> float:
     """Smallest eigenvalue of the exact Hessian of half v'Pv in the metric of the Gauss-Newton matrix: 1 where straight.
 
@@ -28,9 +43,8 @@ def smallest_curvature(bend: Callable[[Array], Array], fit: Linearisation) -> fl
     Not a number where second derivatives are not finite.
     """
     factor = fit.factor
-    generator = np.random.default_rng(0)
     # A random step whose size in units of u is alike in all directions: it answers random readings.
-    force = pulled(fit.blocks, [generator.standard_normal(b.residual.shape) for b in fit.blocks], fit.layout)
+    force = pulled(fit.blocks, _normals([b.residual.shape for b in fit.blocks]), fit.layout)
     step = factor.solve(force[:, None])[:, 0]
     length = math.sqrt(max(float(force @ step), 0.0))
     if not length > 0.0:

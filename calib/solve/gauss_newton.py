@@ -162,8 +162,8 @@ class _Point:
         try:
             with np.errstate(over="ignore", invalid="ignore"):
                 if len(free) > elimination.DENSE_SIZE:
-                    taken = np.any(conditions.matrix != 0.0, axis=0)
-                    taken[np.concatenate(system.at_bounds(values))] = True
+                    low, high = system.at_bounds(values)
+                    taken = np.any(conditions.matrix != 0.0, axis=0) | low | high
                     sources = system.sources(values, weightings)
                     rows = NormalEquations.of(sources, pattern_of(sources, system.layout, taken))
                     pull, squares, objective = rows.pull, rows.squares, rows.objective
