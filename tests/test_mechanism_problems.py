@@ -11,7 +11,8 @@ import calib
 from calib.job import Job
 
 # every problem that tells its simulated errors in TRUTH: a new one is tested without being listed
-NAMES = tuple(m.__name__.removeprefix("problems.") for m in modules() if hasattr(m, "TRUTH"))
+NAMES = tuple(m.__name__.removeprefix("problems.") for m in modules()
+              if hasattr(m, "TRUTH") and hasattr(m, "example"))
 LONGER = ("locator_carrier", "motion_simulator")      # over a second on a busy machine
 QUICK_FIRST = [pytest.param(n, marks=[pytest.mark.slow] if n in LONGER else []) for n in NAMES]
 REPEATED = ("three_axis_turntable", "machine_21", "hexapod")      # test_coverage repeats all of them in another way
@@ -85,6 +86,34 @@ def test_readings_that_were_not_used_are_predicted_better_by_the_identified_mech
     job = Job.read(tmp_path / "job.toml")
     for quantity, before, after, unit in module.heldout(job, calib.solve(module.from_job(job))):
         assert after < 0.7 * before, f"{quantity}: {before} {unit} before, {after} {unit} after"
+
+
+def test_an_effect_of_several_parameters_is_switched_on_by_one_of_them(tmp_path):
+    from calib.errors import InputError
+    from calib.workflow.simulated import simulated
+    from problems import gimbal
+    for file, text in gimbal.example_job(2).items():
+        (tmp_path / file).write_text(text)
+    job = Job.read(tmp_path / "job.toml")
+    problem = gimbal.from_job(job)
+    with pytest.raises(InputError, match=r"say which: encoder_2x_C\.c, encoder_2x_C\.s"):
+        simulated(job, problem, calib.solve(problem), 5, {"encoder_2x_C": "5 arcsec"})
+
+
+def test_pointing_of_the_calibrated_gimbal_brings_targets_into_the_middle():
+    from calib.units import arcsec
+    from problems import gimbal
+    problem = gimbal.example(4)
+    estimate = calib.solve(problem)
+    commands, targets, _ = gimbal.plan()
+    truth = {problem.parameters(n).name: np.atleast_2d(v) for n, v in gimbal.TRUTH.items()}
+    truth["field_from_base"] = gimbal.FIELD_FROM_BASE
+    for row in (3, 90):     # in the middle by the design, one in each face
+        pointed = gimbal.pointing(estimate, targets[row], commands[row])
+        aimed = np.stack([commands[row], pointed])
+        both = gimbal.declare(aimed, targets[[row, row]], None, 1.0, gimbal.FIELD_FROM_BASE)
+        missed = np.linalg.norm(calib.predict(both, truth)["images"], axis=1)
+        assert missed[1] < 10 * arcsec < 100 * arcsec < missed[0]
 
 
 def test_simulated_readings_of_a_hexapod_stand_in_the_columns_of_its_job(tmp_path):

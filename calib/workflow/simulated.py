@@ -80,6 +80,10 @@ def _set(problem: Problem, values: dict[Any, Any], name: str, text: str) -> None
                 names.setdefault(f"{label}.{parameter.name}", (attached, part, instances))
                 if len(attached.effect.parameters) == 1:
                     names.setdefault(label, (attached, part, instances))
+    several = [f"{name}.{p.name}" for attached in problem.attached for p in attached.effect.parameters
+               if name in (attached.effect.label, attached.effect.name)]
+    if name not in names and several:
+        raise InputError(f"--with-effect {name}: it has several parameters; say which: {', '.join(several)}")
     if name not in names:
         near = units.near_matches(name, list(names))
         hint = f"did you mean '{near[0]}'? " if near else ""
