@@ -41,10 +41,16 @@ def arm_of(checkout: Path, model: str) -> serial_arm.Arm:
     return serial_arm.arm_from_urdf(description, "ball_link", loads=loads)
 
 
+def _of_mean(places: list[np.ndarray]) -> float:
+    """Standard uncertainty over the postures of the mean over placements of their means."""
+    return float(np.sqrt(sum(np.var(one, ddof=1) / len(one) for one in places)) / len(places))
+
+
 def main() -> None:
     checkout, *only = Path(sys.argv[1]), *sys.argv[2:]
-    print("| arm | calibrated on | judged on | before | their objective | ours | at a placement: theirs, ours |")
-    print("|---|---|---|---|---|---|---|")
+    print("| arm | calibrated on | judged on | before | their objective | ours | ours less theirs | at a placement: "
+          "theirs, ours |")
+    print("|---|---|---|---|---|---|---|---|")
     ratios = []
     for robot, (model, front) in ROBOTS.items():
         if only and robot not in only:
@@ -63,12 +69,16 @@ def main() -> None:
         found = [calib.solve(declared(s, {front: places[front]}, sizes)) for s, sizes in ((setup, theirs), (own, ours))]
         values = [{}, *({x.name: e[x] for x in e.problem.unknowns if x.name != "socket"} for e in found)]
         plain = {**arguments, "sizes": serial_arm.Tolerances(None, None, None)}
-        errors = {name: [serial_arm.distance_errors(arm, seats, plain, v)[0].mean() / mm for v in values]
+        errors = {name: np.array([serial_arm.distance_errors(arm, seats, plain, v)[0] for v in values]) / mm
                   for name, seats in places.items() if name != front}
-        before, after, better = np.mean(list(errors.values()), axis=0)
+        before, after, better = np.mean([e.mean(axis=1) for e in errors.values()], axis=0)
+        u_after, u_better, u_less = (_of_mean([row(e) for e in errors.values()]) for row in (
+            lambda e: e[1], lambda e: e[2], lambda e: e[1] - e[2]))
         ratios.append(better / after)
-        print(f"| {robot} | {front} | {len(errors)} others | {before:.2f} mm | {after:.3f} mm | {better:.3f} mm | "
-              + "; ".join(f"{name} {e[1]:.2f}, {e[2]:.2f}" for name, e in errors.items()) + " |", flush=True)
+        print(f"| {robot} | {front} | {len(errors)} others | {before:.2f} mm | {after:.3f} +- {u_after:.3f} mm | "
+              f"{better:.3f} +- {u_better:.3f} mm | {better - after:+.3f} +- {u_less:.3f} mm | "
+              + "; ".join(f"{name} {e[1].mean():.2f}, {e[2].mean():.2f}" for name, e in errors.items()) + " |",
+              flush=True)
     print(f"\nOurs over theirs: geometric mean {np.exp(np.mean(np.log(ratios))):.2f} of {len(ratios)} arms, "
           f"{sum(r < 1 for r in ratios)} better.")
 
