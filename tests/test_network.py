@@ -232,3 +232,18 @@ def test_two_rows_for_one_point_are_named(tmp_path, capsys):
     answer = runner(capsys)("solve", tmp_path / "job.toml")
     assert answer.status == 2
     assert "point 'A' stands in rows 1, 2" in answer.error
+
+
+@pytest.mark.parametrize("seed", [3, 12, 29])
+def test_a_network_of_few_ranges_is_unfolded(seed):
+    # Half of the 45 ranges of ten points: each of these seeds starts in a fold unless points are tried on both sides.
+    generator = np.random.default_rng(seed)
+    places, keys = generator.uniform(0, 100, (10, 2)), [f"P{i}" for i in range(10)]
+    pairs = [(a, b) for a in range(10) for b in range(a + 1, 10)]
+    read = [pairs[k] for k in sorted(generator.permutation(45)[:24])]
+    lengths = [float(np.linalg.norm(places[a] - places[b]) + generator.normal() * 2 * mm) for a, b in read]
+    station, target = ([keys[k] for k in ends] for ends in zip(*read, strict=True))
+    batch = Batch("distance", station, target, np.array(lengths), np.full(24, 2 * mm))
+    survey = Survey({key: Point(plane=CONSTRAINED) for key in keys}, [batch])
+    estimate = solve(network.declare(network.settle(network.started(network.checked(survey)))))
+    assert estimate.objective < 5 * estimate.dof

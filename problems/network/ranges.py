@@ -9,6 +9,7 @@ from problems.network.survey import Survey
 
 ATTEMPTS = 30       # placements that are tried where the first ones do not fit
 GOOD = 2e-3         # misfit of the ranges, relative to their mean, that a right placement reaches
+TURNED = 60         # points up to which each is tried on the other side of its neighbours
 
 
 def scaled(survey: Survey, known: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -63,12 +64,38 @@ def _fitted(whole: np.ndarray, dim: int, i: np.ndarray, j: np.ndarray, read: np.
         unfolded = _majorised(start, i, j, read)
         axes = np.linalg.svd(unfolded - unfolded.mean(axis=0), full_matrices=False)[2][:dim]
         place = _majorised(unfolded @ axes.T, i, j, read)
-        miss = float(np.sqrt(np.mean((np.linalg.norm(place[i] - place[j], axis=1) - read) ** 2)) / read.mean())
+        if (miss := _miss(place, i, j, read)) >= GOOD and len(place) <= TURNED:
+            place = _unfolded(place, i, j, read)
+            miss = _miss(place, i, j, read)
         if miss < smallest:
             best, smallest = place, miss
         if smallest < GOOD:
             break
     return best
+
+
+def _miss(place: np.ndarray, i: np.ndarray, j: np.ndarray, read: np.ndarray) -> float:
+    """Root mean square of the misfits, relative to the mean range."""
+    return float(np.sqrt(np.mean((np.linalg.norm(place[i] - place[j], axis=1) - read) ** 2)) / read.mean())
+
+
+def _unfolded(place: np.ndarray, i: np.ndarray, j: np.ndarray, read: np.ndarray) -> np.ndarray:
+    """The placement with points, one after the other, on the other side of the points they are read from, as long as
+    the ranges then fit better."""
+    smallest, better = _miss(place, i, j, read), True
+    while better and smallest > GOOD:
+        better = False
+        for k in range(len(place)):
+            around = place[np.concatenate([j[i == k], i[j == k]])]
+            middle = around.mean(axis=0)
+            across = np.linalg.svd(around - middle, full_matrices=True)[2][-1]
+            other = place.copy()
+            other[k] -= 2.0 * ((place[k] - middle) @ across) * across
+            other = _majorised(other, i, j, read)
+            miss = _miss(other, i, j, read)
+            if miss < 0.99 * smallest:
+                place, smallest, better = other, miss, True
+    return place
 
 
 def _classical(distances: np.ndarray, dim: int) -> np.ndarray:
