@@ -140,4 +140,5 @@ def correlation(solution: Solution) -> Drawing | None:
     results = solution.results
     if not 2 <= len(results.names) <= CORRELATED:
         return None
-    return Drawing.of(plots.correlation(results.names, results.correlation), "correlation", "Correlation coefficients")
+    return Drawing.of(plots.correlation(results.names, results.correlation), "correlation",
+                      "Correlation coefficients: blue positive, orange negative, the deeper the nearer to one.")

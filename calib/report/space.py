@@ -22,6 +22,7 @@ WIDTH, HEIGHT = 720, 480        # of the still drawing; with script it fills its
 VIEW, ABOVE = (-55.0, 22.0), (-90.0, 90.0)     # azimuth and elevation of the eye at first [degrees]
 AXIS = 0.7                      # half length of a drawn axis, in radii of the scene
 LABELLED = 40                   # names that can be read in one drawing
+ELLIPSOIDS = 150                # of one kind of points
 DRAWN = 1500                    # points or lines of one shape
 LONGEST = 24                    # characters of a name
 FINE = 1e4                      # steps of a coordinate in the radius of the scene
@@ -180,10 +181,10 @@ def _items(shape: Shape, centre: Array, radius: float, larger: float, colour: st
 def _points(shape: Points, places: Array, radius: float, larger: float, colour: str) -> Iterator[Item]:
     step = max(1, -(-len(places) // DRAWN))
     if shape.covariance is not None and larger:
-        for place, matrix in zip(places[::step], shape.covariance[::step]):
-            if matrix.any():
-                for ring in _ellipses(matrix):
-                    yield _line(place + larger / radius * ring, f"ellipsoid {colour}", shape.name)
+        uncertain = np.flatnonzero(shape.covariance.any(axis=(1, 2)))
+        for i in uncertain[:: max(1, -(-len(uncertain) // ELLIPSOIDS))]:
+            for ring in _ellipses(shape.covariance[i]):
+                yield _line(places[i] + larger / radius * ring, f"ellipsoid {colour}", shape.name)
     labelled = len(places) <= LABELLED
     for place, key in zip(places[::step], shape.keys[::step]):
         yield _mark(place, f"place {colour}", key if labelled else "", f"{shape.name} {key}".strip())
