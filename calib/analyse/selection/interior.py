@@ -22,6 +22,7 @@ from calib.analyse.selection.worst import Largest, mean_of
 from calib.blocks import Array
 
 STEPS = 80
+REGULAR = 1e-8       # smallest over largest pivot of a root that counts as regular
 NEAREST = 1e-13      # of a weight to its bounds
 RISE = 2.0           # of a smooth loss in one step
 CLIMB = 0.1          # of the worst of several values in one step
@@ -70,7 +71,11 @@ class Front(Protocol):
 
 def inverse_of(information: Array) -> Array:
     """Inverse of a positive definite matrix; LinAlgError where it is not."""
-    root = np.linalg.inv(np.linalg.cholesky(information))
+    lower = np.linalg.cholesky(information)
+    diagonal = np.diag(lower)
+    if not diagonal.min() > REGULAR * diagonal.max():      # what is inverted beyond this is rounding
+        raise np.linalg.LinAlgError("the information is singular to rounding")
+    root = np.linalg.inv(lower)
     return np.asarray(root.T @ root)
 
 
@@ -310,6 +315,8 @@ def interior(objective: Objective, limits: Limits, weights: Array, undecided: ND
         normal[np.arange(u), np.arange(u)] += low / w + high / (1.0 - w)
         normal[:u, :u] += matrix.T @ (matrix * (price / slack)[:, None])
         right[:u] += aim / w - aim / (1.0 - w) - matrix.T @ np.where(active, aim / slack, 0.0)
+        if not (np.isfinite(normal).all() and np.isfinite(right).all()):
+            break
         move = _solve(normal, right)
         use = matrix @ move[:u]
         d_price = np.where(active, (aim - slack * price + price * use) / slack, 0.0)

@@ -225,6 +225,8 @@ class Trace(OfFunctions):
     def tangent(self, inverse: Array) -> Tangent:
         through = self.matrix @ inverse
         trace = float(np.sum(through * self.matrix))
+        if not trace > 0.0:      # the inverse is rounding alone
+            raise np.linalg.LinAlgError("the information is singular to rounding")
         spread = through.T @ through / trace
 
         def curvature(rows: Array) -> Array:
