@@ -16,7 +16,6 @@ import numpy as np
 import casadi as ca
 import calib
 from calib import Observations, Problem, Quantity, Unknown, covariance, linearise, reliability, solve
-{imports}
 generator = np.random.default_rng(1)
 angle = np.linspace(0.0, 5.0, 10)
 points = np.column_stack([3 + 2 * np.cos(angle), 1 + 2 * np.sin(angle)]) + generator.normal(0, 1e-5, (10, 2))
@@ -32,15 +31,13 @@ times.append(time.process_time())
 fit = linearise(estimate)
 covariance(fit, "diameter", centre, radius)
 times.append(time.process_time())
-{again}
 print(*np.diff(times))
 """
 
 
 def main() -> None:
     """Write the medians to standard output."""
-    program = CIRCLE.format(again="")
-    found = np.array([[float(x) for x in subprocess.run([sys.executable, "-c", program], check=True, text=True,
+    found = np.array([[float(x) for x in subprocess.run([sys.executable, "-c", CIRCLE], check=True, text=True,
                                                         capture_output=True).stdout.split()] for _ in range(9)])
     for name, spent in zip(("declaration", "solve", "covariance"), 1e3 * np.median(found, axis=0), strict=True):
         print(f"{name:12s} {spent:6.2f} ms")

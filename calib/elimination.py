@@ -115,19 +115,12 @@ class EliminatedFactor:
         return self._root @ self._root.T
 
     @cached_property
-    def _sampled(self) -> Coupling:
-        """The coupling times the outer covariance, where rows need it."""
-        return self._coupled.sampled(self._outer_covariance)
-
-    @cached_property
-    def _cross_covariance(self) -> Coupling:
-        """Covariance of inner with outer columns that rows have in common."""
-        return self._sampled.mapped(-self._half.transpose(0, 2, 1))
-
-    @cached_property
-    def _inner_covariance(self) -> Array:
-        middle = self._sampled.gram(self._coupled) + np.eye(self._pattern.freedom)
-        return self._half.transpose(0, 2, 1) @ middle @ self._half
+    def _eliminated_covariance(self) -> tuple[Array, Coupling]:
+        """Covariance (m, f, f) of inner columns, and that with the outer columns which rows have in common."""
+        sampled = self._coupled.sampled(self._outer_covariance)
+        middle = sampled.gram(self._coupled) + np.eye(self._pattern.freedom)
+        turned = self._half.transpose(0, 2, 1)
+        return turned @ middle @ self._half, sampled.mapped(-turned)
 
     def _dense_cross(self, owner: Index) -> Array:
         """Covariance (n, f, S) of eliminated instances (n,) with all outer columns."""
@@ -166,15 +159,15 @@ class EliminatedFactor:
     def _between_inner(self, first: Index, second: Index) -> Array:
         same = first == second
         if same.all():
-            return self._inner_covariance[first]
+            return self._eliminated_covariance[0][first]
         apart = np.flatnonzero(~same)
-        block = self._inner_covariance[first]
+        block = self._eliminated_covariance[0][first]
         left, right = self._dense_cross(first[apart]), self._coupled.rows(second[apart])
         block[apart] = -np.einsum("nfs,ngs,ngh->nfh", left, right, self._half[second[apart]], optimize=True)
         return block
 
     def _between_inner_and_outer(self, owner: Index, slots: Index, known: Array) -> Array:
-        cross = self._cross_covariance
+        cross = self._eliminated_covariance[1]
         places = cross.places(owner, slots)
         block = cross.values[:, places.T].transpose(2, 0, 1)
         apart = np.flatnonzero(((places < 0) & known).any(axis=1))

@@ -110,19 +110,24 @@ def sampled(freedom: int) -> str:
     def block(i: str) -> None:
         begin, end = _entries(text, i)
 
+        def clear(e: str) -> None:
+            for k in range(freedom):
+                text.lines.append(f"  store double 0.0, ptr {text.at('%out', '%far', str(k), e)}, align 8")
+
         def row(a: str) -> None:
             line = text.at("%matrix", text.value(f"mul i64 {text.load('%columns', a, kind='i64')}, %others"))
-            places = [text.at("%out", "%far", str(k), a) for k in range(freedom)]
-            text.lines += [f"  store double 0.0, ptr {place}, align 8" for place in places]
+            mine = [text.load("%values", "%far", str(k), a) for k in range(freedom)]
 
-            def column(b: str) -> None:
+            def column(b: str) -> None:  # no sum waits for the one before
                 weight = text.load(line, text.load("%columns", b, kind="i64"))
-                for k, place in enumerate(places):
-                    product = text.value(f"fmul contract double {weight}, {text.load('%values', '%far', str(k), b)}")
+                for k, number in enumerate(mine):
+                    place = text.at("%out", "%far", str(k), b)
                     there = text.value(f"load double, ptr {place}, align 8")
+                    product = text.value(f"fmul contract double {weight}, {number}")
                     total = text.value(f"fadd contract double {there}, {product}")
                     text.lines.append(f"  store double {total}, ptr {place}, align 8")
             text.loop("b", begin, end, column)
+        text.loop("e", begin, end, clear)
         text.loop("a", begin, end, row)
     text.loop("i", "%begin", "%end", block)
     return text.function()
