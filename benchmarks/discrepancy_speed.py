@@ -87,7 +87,8 @@ def main() -> None:
                                                   or "nothing"), wall, cpu))
     lines = ["| what | result | wall clock / s | CPU / s |", "| --- | --- | --- | --- |",
              *(f"| {what} | {result} | {wall:.2f} | {cpu:.2f} |" for what, result, wall, cpu in rows),
-             "", f"{os.cpu_count()} cores, {os.getloadavg()[0]:.0f} other processes at work: CPU is what a free core takes."]
+             "", f"{os.cpu_count()} cores, {os.getloadavg()[0]:.0f} other processes at work: CPU is what a free core "
+             "takes."]
     (chosen.out / "discrepancy_speed.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     print("\n".join(lines))
     print(json.dumps({"peak_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}))
