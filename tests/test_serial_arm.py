@@ -32,6 +32,8 @@ def test_postures_that_were_not_used_are_predicted_far_better_than_by_the_urdf(j
     rows = {name: (before, after) for name, before, after, _ in serial_arm.heldout(job, estimate)}
     before, after = rows["mean distance error (shelf, not used)"]
     assert before > 1.0 and after < 0.1 * before
+    prior, expected = rows["mean distance error to be expected by the stated uncertainties (shelf, not used)"]
+    assert after == pytest.approx(expected, rel=0.4) and before == pytest.approx(prior, rel=0.6)
     before, after = rows["mean distance error (bench, used)"]
     assert after < 0.12        # seats of 0.05 mm in each component miss by 0.08 mm on average
 
@@ -76,6 +78,15 @@ def test_a_file_of_another_arm_is_named_with_its_line(job_folder, tmp_path):
     (tmp_path / "bench_2.csv").write_text("0.1,0.2,0.3\n")
     with pytest.raises(InputError, match=r"bench_2.csv, line 1: 3 numbers where 6 joints are expected"):
         serial_arm.from_job(Job.read(tmp_path / "job.toml"))
+
+
+def test_an_arm_whose_errors_are_held_is_the_urdf_and_its_clusters_are_of_like_postures(job_folder, tmp_path):
+    for path in job_folder.iterdir():
+        (tmp_path / path.name).write_text(path.read_text().replace("[options]", '[options]\nerrors = "held"'))
+    problem = serial_arm.from_job(Job.read(tmp_path / "job.toml"))
+    assert all(problem.is_held(a.unknown).all() for a in problem.attached)
+    block = serial_arm.blocks(problem)["seat"]
+    assert len(block) == problem.observations[0].n and 2 <= len(set(block)) <= serial_arm.BLOCKS
 
 
 @needs_real_data
