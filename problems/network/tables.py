@@ -14,6 +14,7 @@ from problems.network import noise
 from problems.network.models import KINDS
 from problems.network.stations import Ranging, Sightings
 from problems.network.survey import ADJUSTED, CONSTRAINED, FIXED, LEFT_HANDED, RIGHT_HANDED, Batch, Point, Survey
+from problems.recorded import recorded
 
 TABLES = {
     "distances": "distance",
@@ -92,19 +93,7 @@ def _sightings(job: Job) -> Sightings:
     u = np.column_stack([constant + per_metre * ranges, angles / np.sin(readings[:, 2]), angles])
     levelled = instrument.flag("levelled", False)
     return Sightings(table.text("station"), table.text("target"), readings, u, levelled, rows=table.row_numbers,
-                     covariates=_recorded(job, table))
-
-
-def _recorded(job: Job, table: Table) -> dict[str, Any]:
-    """What drives effects and was written down with each reading; times count from the first reading of the job."""
-    found: dict[str, Any] = {}
-    if table.has("time"):
-        times = [t.number("time", "time") for t in job.tables.values() if t.has("time")]
-        found["time"] = (table.number("time", "time") - min(float(t.min()) for t in times if len(t)), "min")
-    if table.has("temp"):
-        reference = job.options.quantity("reference_temperature", "temperature", 293.15)
-        found["temperature_difference"] = (table.number("temp", "temperature") - reference, "K")
-    return found | {name: table.whole(name) for name in ("block",) if table.has(name)}
+                     covariates=recorded(job, table))
 
 
 def _ranging(job: Job) -> Ranging:
@@ -113,7 +102,7 @@ def _ranging(job: Job) -> Ranging:
     counts = instrument.text("counts", "lengthening", ("lengthening", "shortening"))
     return Ranging(table.text("instrument"), table.text("target"), table.number("reading", "length"),
                    noise.of_lengths(constant, per_metre), 1.0 if counts == "lengthening" else -1.0,
-                   rows=table.row_numbers, covariates=_recorded(job, table))
+                   rows=table.row_numbers, covariates=recorded(job, table))
 
 
 def _points(table: Table, parts: str) -> dict[str, Point]:
@@ -159,7 +148,7 @@ def _batch(job: Job, name: str) -> Batch:
         group=name,
         unit=unit,
         rows=table.row_numbers,
-        covariates=_recorded(job, table),
+        covariates=recorded(job, table),
     )
 
 
