@@ -137,7 +137,7 @@ class Pieces:
         losses = np.concatenate([p.losses for p in self.pieces])
         self.loss = float(losses.max())
         self.worst = self.loss + ROOM if aim is None else above(losses, aim)
-        self.slack = self.worst - losses
+        self.slack = np.maximum(self.worst - losses, 1e-15)      # at the very end rounding may leave none
         if multipliers is None:
             multipliers = 1.0 / self.slack
             multipliers = multipliers / multipliers.sum()
