@@ -41,6 +41,7 @@ from calib.unknown import Selection
 from instruments import interferometer
 from problems import algebraic_base_point, base_point_lines
 from problems.base_point import COUNTS, LENGTHENING
+from problems.recorded import recorded
 
 Array = NDArray[np.float64]
 PARTS = ("x", "y", "z", "start")
@@ -252,16 +253,15 @@ def from_job(job: Job) -> Problem:
     """The problem of a job with the tables `ranges` (tracker, target, d), `trackers` and `targets` (key, x, y, z).
 
     Positions are approximate, except those of targets whose column `known` is 1: they are exact, or have the u of
-    options.u_known. `ranges` may have block and time. Its instrument has kind tracking_interferometer, u and counts.
+    options.u_known. `ranges` may have what `problems.recorded` takes (time, block). Its instrument has kind
+    tracking_interferometer, u and counts.
     Raises InputError naming file, line, key or column.
     """
     table, instrument = job.table("ranges"), job.instrument("ranges")
     readings = table.number("d", "length")
     fixed, rate = instrument.uncertainty("u", "length")
     instrument.text("kind", "tracking_interferometer", ("tracking_interferometer",))
-    covariates: dict[str, Any] = {"block": table.whole("block")} if table.has("block") else {}
-    if table.has("time"):
-        covariates["time"] = (table.number("time", "time"), "s")
+    covariates = recorded(job, table)
     ranges = Ranges(table.text("tracker"), table.text("target"), readings, fixed + rate * np.abs(readings), covariates,
                     table.row_numbers)
     trackers, targets = job.table("trackers"), job.table("targets")
