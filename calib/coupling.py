@@ -143,7 +143,8 @@ class Coupling:
             return np.bincount(self.columns, total, self.others)[:, None]
         result = np.zeros((self.others, left.shape[2]))
         for begin, end, piece in self.dense():
-            result += piece.reshape(-1, self.others).T @ left[begin:end].transpose(1, 0, 2).reshape(-1, left.shape[2])
+            flat = piece.reshape(piece.shape[0] * piece.shape[1], self.others)
+            result += flat.T @ left[begin:end].transpose(1, 0, 2).reshape(len(flat), -1)
         return result
 
     def sampled(self, symmetric: Array) -> Coupling:

@@ -8,6 +8,7 @@ from calib import units
 from calib.blocks import Array
 from calib.layout import Layout
 
+SHOWN = 8  # directions that a message lists
 
 def simplest_basis(directions: Array, weights: Array) -> Array:
     """Null-space directions (p, k) recombined so that each involves as few columns as elimination can make it.
@@ -65,3 +66,9 @@ def defect_in_words(layout: Layout, null: Array, sizes: Array) -> list[str]:
         words = direction_in_words(layout, basis[:, k])
         sentences.append(f"{words} changes no reading; {cure(np.count_nonzero(basis[:, k]) == 1)}")
     return sentences
+
+
+def together(sentences: list[str]) -> str:
+    """Sentences of directions in one line: the first few, and how many more there are."""
+    more = len(sentences) - SHOWN
+    return "; ".join(sentences[:SHOWN]) + (f"; and {more} more of this kind" if more > 0 else "")

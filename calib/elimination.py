@@ -100,7 +100,7 @@ class EliminatedFactor:
     def covariance(self, functions: Array) -> Array:
         """Covariance (k, k) of linear functions (k, p) of the free columns."""
         through, own = self._mapped(functions)
-        flat = own.reshape(-1, len(functions))
+        flat = own.reshape(own.shape[0] * own.shape[1], len(functions))
         return through @ through.T + flat.T @ flat
 
     def solve(self, right: Array) -> Array:

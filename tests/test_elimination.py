@@ -9,8 +9,11 @@ from calib import (
     Constraint,
     Gaussian,
     Observations,
+    Problem,
+    Unknown,
     compiled,
     coupling,
+    covariance,
     elimination,
     estimability,
     linearise,
@@ -20,7 +23,7 @@ from calib import (
 )
 from calib.compiled import available, row_back_end
 from calib.elimination import EliminatedFactor
-from calib.errors import ModelBreakdown
+from calib.errors import ModelBreakdown, RankDefect
 from calib.factor import DenseFactor
 from calib.linearisation import linearise as linearise_problem
 
@@ -124,6 +127,30 @@ def test_points_seen_by_nobody_are_found_when_eliminated(monkeypatch):
     assert dense.factor.defect == eliminated.factor.defect == 0 or "point[5]" in " ".join(
         estimability(eliminated).directions
     )
+
+
+@pytest.mark.parametrize("name", ["numpy", "compiled"])
+def test_unknowns_that_are_all_eliminated_leave_nothing_and_are_estimated(name):
+    if name == "compiled" and not available():
+        pytest.skip("llvmlite is not installed")
+    truth = np.random.default_rng(2).normal(size=(60, 5))
+    posture = Unknown("posture", np.zeros((60, 5)))
+    seen = Observations(lambda p: p + 0.1 * p**2, posture.each, readings=truth + 0.1 * truth**2, u=1e-3)
+    with row_back_end(name):
+        estimate = solve(Problem([seen, prior(posture, truth, 1e-3)]))
+        fit = linearise(estimate)
+        assert fit.factor.rank == 300
+        assert reliability(fit).redundancy.sum() == pytest.approx(300, rel=1e-12)
+    assert np.abs(estimate[posture] - truth).max() < 1e-9
+    assert covariance(fit, posture.part("1")).u == pytest.approx(1e-3 / np.hypot(1 + 0.2 * truth[:, 0], 1), rel=1e-9)
+
+
+def test_a_message_lists_the_first_of_many_directions():
+    posture = Unknown("posture", np.zeros((60, 5)))
+    seen = Observations(lambda p: p[:3], posture.each, readings=np.zeros((60, 3)), u=1e-3)
+    with pytest.raises(RankDefect, match="and 112 more of this kind") as error:
+        solve(Problem([seen]))
+    assert len(error.value.directions) == 120
 
 
 @pytest.mark.skipif(not available(), reason="llvmlite is not installed")

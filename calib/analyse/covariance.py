@@ -9,7 +9,7 @@ import numpy as np
 
 from calib import units as unit_table
 from calib.blocks import Array
-from calib.defect import defect_in_words
+from calib.defect import defect_in_words, together
 from calib.errors import RankDefect
 from calib.linearisation import Functions, Linearisation
 
@@ -103,7 +103,7 @@ def refuse_what_cannot_be_known(fit: Linearisation, functions: Functions) -> Non
     if len(hidden):
         sentences = defect_in_words(fit.layout, null, size)
         raise RankDefect(
-            f"'{functions.labels[hidden[0]]}' cannot be known from these readings: {'; '.join(sentences)}.",
+            f"'{functions.labels[hidden[0]]}' cannot be known from these readings: {together(sentences)}.",
             directions=sentences,
         )
 

@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.blocks import Array, Index
+from calib.factor import DenseFactor
 from calib.linearisation import Group, Linearisation
 from calib.normal import whitened
 from calib.pattern import Source, pieces
 
+MANY = 6  # arguments of a row beyond which its derivatives are multiplied as a whole
 INVISIBLE = 1e-10  # redundancy number below which a reading is not controlled by any other
 
 
@@ -159,6 +161,10 @@ def _plain(source: Source, rows: Index) -> Derived:
 
 def _variance(fit: Linearisation, first: Derived, second: Derived) -> Array:
     """Diagonal (d, m) of first C second' of the same blocks; each pair once where both are the same."""
+    if isinstance(fit.factor, DenseFactor) and len(first) > MANY:
+        left = _through(fit, first, fit.factor.root)
+        right = left if first is second else _through(fit, second, fit.factor.root)
+        return np.asarray(np.einsum("dmk,dmk->dm", left, right))
     position, total = fit.layout.position, np.zeros(1)
     for i, (a, left) in enumerate(first):
         for k, (b, right) in enumerate(second):
@@ -168,3 +174,13 @@ def _variance(fit: Linearisation, first: Derived, second: Derived) -> Array:
             both = np.einsum("gdm,gdm->dm", np.einsum("fdm,fgm->gdm", left, between), right)
             total = total + (2 * both if first is second and k > i else both)
     return total
+
+
+def _through(fit: Linearisation, derived: Derived, root: Array) -> Array:
+    """Derivatives of the same d numbers in m blocks times a root (p, rank) of the covariance: (d, m, rank)."""
+    _, d, m = derived[0][1].shape
+    whole = np.zeros((d, m, len(root) + 1))  # the last place takes what is held
+    for columns, one in derived:
+        for place, column in zip(fit.layout.position[columns].T, one, strict=True):
+            whole[:, np.arange(m), place] += column
+    return np.asarray(whole[:, :, :-1] @ root)

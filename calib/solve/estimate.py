@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from calib.blocks import Array
-from calib.defect import defect_in_words
+from calib.defect import defect_in_words, together
 from calib.effect import Effect
 from calib.errors import CalibrationError, DeclarationError, RankDefect
 from calib.linearisation import Linearisation, linearise_system
@@ -142,7 +142,7 @@ def solve(
         sentences = defect_in_words(system.layout, fit.factor.null, fit.sizes)
         raise RankDefect(
             f"{problem.name}: {fit.factor.defect} direction(s) of the unknowns cannot be known{fewer}: "
-            + "; ".join(sentences)
+            + together(sentences)
             + ".",
             directions=sentences,
         )
