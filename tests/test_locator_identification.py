@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from calib import covariance, estimability, linearise, predict, solve
+from calib import A, covariance, estimability, linearise, predict, select, solve
+from calib.analyse.selection.request import requested
 from calib.job import Job
 from problems import locators
 from problems.locators import campaign
@@ -22,9 +23,11 @@ from problems.locators.identification import (
     identify,
     leaders_only,
     pose_error,
+    pose_error_to_come,
     poses_from_axes,
     unseen,
     with_error_functions,
+    with_knowledge,
 )
 from problems.locators.measured import declare, rigid_fit
 from problems.locators.paper import DRIVEN
@@ -204,3 +207,21 @@ def test_ninety_five_percent_intervals_of_a_named_effect_cover_ninety_five_perce
         found = covariance(linearise(solve(problem.free("squareness (A.xy)"))), "squareness (A.xy)")
         covered += abs(found.values[0] - size) < 1.96 * found.u[0]
     assert 43 <= covered <= 50              # binomial: 42 or fewer of 50 has a probability of 0.3 %
+
+
+@pytest.mark.slow
+def test_the_pose_error_to_come_is_what_is_found_and_poses_chosen_by_it_beat_random_ones(measured, truth):
+    setup, problem = scheme(measured, "nine axes")
+    fit = linearise(with_knowledge(problem, KNOWLEDGE))
+    checks, true = measured.axes.where(measured.axes.split == "check"), measured.part[-CHECKS:]
+    to_come = pose_error_to_come(fit, setup, checks, campaign.U_AXIS)
+    known = {function: truth[function.label] for function in functions_in(problem)}
+    found, perfect = (pose_error(setup, poses_from_axes(setup, checks, campaign.U_AXIS, functions), true)
+                      for functions in (identified(identify(problem, KNOWLEDGE)), known))
+    predicted = np.hypot(np.linalg.norm(covariance(fit, to_come).u), perfect)
+    assert 0.6 < found / predicted < 1.6
+    request = requested(fit, 8, A(to_come), by="pose")
+    choice = select(fit, 8, A(to_come), by="pose")
+    drawn = [request.value(request.objective.loss(np.random.default_rng(seed).choice(24, 8, replace=False)))
+             for seed in range(20)]
+    assert choice.bound <= choice.value < min(drawn)

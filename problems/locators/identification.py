@@ -247,7 +247,7 @@ def pose_error_to_come(fit: Linearisation, setup: Setup, axes: Readings, u_axis:
     columns = np.concatenate([np.arange(later.layout.size)[later.layout.span(later.effects[e])] for e in functions])
     rows = later.rows[0]
     # Axes read the pose by least squares, so an error of the axes turns into one of the pose.
-    follows = -later.factor.solve(rows.T @ later.held_columns(columns))
+    follows = -later.factor.solve(rows.T @ later.held_columns(columns.tolist()))
     seen = later.results[where]
     moved = later.free_part(seen.derivatives) @ follows
     place = seen.values.reshape(-1, 3)
