@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ from calib import files, units
 from calib.errors import InputError
 from calib.settings import Origin, Settings, signed_quantity, unit_in
 from calib.table import Table
+
+DATA_FOLDER = "CALIB_REFERENCE_DATA"    # environment variable: a folder of large files, or of other projects' data
 
 MEASUREMENTS = "measurements"
 CERTIFICATE_TEXTS = ("laboratory", "customer", "item")
@@ -173,7 +176,57 @@ class Job:
 
         return: 64 hexadecimal digits.
         """
-        return files.sha256(*self.files)
+        return files.sha256(*self.everything_read)
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """Where a file that the job names may lie: beside it, in the folder of --data, in $CALIB_REFERENCE_DATA."""
+        further = (Path(one) for one in (self.data_folder, os.environ.get(DATA_FOLDER)) if one)
+        return tuple(dict.fromkeys((self.path.parent, *further)))
+
+    def file(self, name: str) -> Path:
+        """Where a file named in the job lies.
+
+        name: relative to one of `folders`, or absolute.
+        return: its path.
+        raises InputError naming the places that were tried.
+        """
+        for folder in self.folders:
+            if (folder / name).exists():
+                return folder / name
+        raise InputError(f"{self.path}: '{name}' is not in {', '.join(map(str, self.folders))}; correct the name, give "
+                         f"its folder with --data, or set the environment variable {DATA_FOLDER} to it.")
+
+    @property
+    def named(self) -> dict[str, Path]:
+        """Files that the settings name, tables and others such as a URDF: {name as written: path}."""
+        if self.path.suffix != ".toml":
+            return {}
+        found = {}
+        for text in _texts(tomllib.loads(self.path.read_text(encoding="utf-8-sig"))):
+            if not text or len(text) > 1000 or "\n" in text:
+                continue
+            path = next((folder / text for folder in self.folders if (folder / text).is_file()), None)
+            if path is not None:
+                found[text] = path
+        return found
+
+    @property
+    def everything_read(self) -> tuple[Path, ...]:
+        """The files of the job and those that its settings name, each once."""
+        known = {path.resolve() for path in self.files}
+        return (*self.files, *dict.fromkeys(path for path in self.named.values() if path.resolve() not in known))
+
+
+def _texts(settings: Any) -> Iterator[str]:
+    if isinstance(settings, str):
+        yield settings
+    elif isinstance(settings, dict):
+        for value in settings.values():
+            yield from _texts(value)
+    elif isinstance(settings, list):
+        for value in settings:
+            yield from _texts(value)
 
 
 def _parsed(path: Path) -> Settings:

@@ -42,7 +42,6 @@ from calib.mechanism.conditions import approaches, driven_by_conditions
 from calib.mechanism.geometry_files import geometry_files
 from calib.mechanism.heldout import misses, postures, rms
 from calib.mechanism.inputs import checked_positions, other_quaternion_order, unlike_the_mechanism
-from calib.mechanism.read import data_path
 from calib.mechanism.scene import axes_of
 from calib.mechanism.start import misfit, place_of_points, world_and_target
 from calib.mechanism.statement import Statement, minimal
@@ -95,7 +94,7 @@ def described(job: Job) -> Described:
                          "[data.table] or the option urdf.")
     frame = said.text("frame") if "frame" in said else None
     if given[0] == "urdf":
-        found, base = urdf.read(data_path(job, said.text("urdf"))), said.text("base") if "base" in said else None
+        found, base = urdf.read(job.file(said.text("urdf"))), said.text("base") if "base" in said else None
         tip = said.text("tip") if "tip" in said else None
         mechanism = urdf.mechanism(found, base, tip, said.numbers("down", (0.0, 0.0, -1.0)))
         frame = frame or (urdf.frame_name(tip, base or found.root) if tip else None)

@@ -48,7 +48,7 @@ from calib.mechanism import (
 )
 from calib.mechanism.heldout import misses, rms
 from calib.mechanism.inputs import checked_positions, other_quaternion_order
-from calib.mechanism.read import data_path, measured_poses
+from calib.mechanism.read import measured_poses
 from calib.mechanism.resolved import quantity
 from calib.mechanism.scene import measured
 from calib.mechanism.smooth import Smooth, distances, smooth_errors
@@ -166,7 +166,7 @@ def from_job(job: Job) -> Problem:
 
 def _read(job: Job) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     if "measurements" in job.options:
-        found = measured_poses(data_path(job, job.options.text("measurements")))
+        found = measured_poses(job.file(job.options.text("measurements")))
         rows, positions, places, quaternions, where = (np.arange(1, len(found.names) + 1), found.positions,
                                                        found.places,
                                                        found.quaternions, str(found.path))

@@ -28,7 +28,7 @@ from calib.linearisation import Functions
 from calib.mechanism import urdf
 from calib.mechanism.clusters import alike_postures
 from calib.mechanism.inputs import checked_positions
-from calib.mechanism.read import data_path, joint_positions
+from calib.mechanism.read import joint_positions
 from calib.mechanism.resolved import quantity
 from calib.mechanism.scene import axes_of
 from calib.scene import Points, Scene
@@ -89,7 +89,7 @@ def setup(job: Job) -> Setup:
     """Read a job. Raises InputError naming file, row and axis where something is missing or cannot be."""
     said = job.options
     tip = said.text("tip")
-    description = urdf.read(data_path(job, said.text("urdf")))
+    description = urdf.read(job.file(said.text("urdf")))
     loads = []
     if "loads" in job.tables:
         table = job.table("loads")
@@ -99,7 +99,7 @@ def setup(job: Job) -> Setup:
     scale = degree if said.text("positions", "rad", ("rad", "deg")) == "deg" else 1.0
     found: dict[bool, dict[str, list[np.ndarray]]] = {False: {}, True: {}}
     for placement in said.tables("placements"):
-        paths = [data_path(job, name) for name in placement.texts("files")]
+        paths = [job.file(name) for name in placement.texts("files")]
         seats = [joint_positions(path, len(arm.mechanism.axes)) * scale for path in paths]
         for path, seat in zip(paths, seats, strict=True):
             checked_positions(arm.mechanism, seat, where=str(path), slack=0.02)

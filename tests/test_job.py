@@ -183,3 +183,21 @@ unit = "1"
     assert job.instruments.table("level").quantity("sigma", "angle") == 0.15 * arcsec
     assert job.known.quantity("reference_temperature", "temperature") == 293.15
     assert np.array_equal(job.table("measurements").row_numbers, [1, 2])
+
+
+def test_files_that_settings_name_belong_to_what_was_read(tmp_path, monkeypatch):
+    monkeypatch.delenv("CALIB_REFERENCE_DATA", raising=False)
+    (tmp_path / "elsewhere").mkdir()
+    for place in ("arm.urdf", "elsewhere/joints.csv", "readings.csv"):
+        (tmp_path / place).write_text("a_mm\n1\n", encoding="utf-8")
+    (tmp_path / "job.toml").write_text('problem = "x"\n[data.readings]\nfile = "readings.csv"\n[options]\n'
+                                       'urdf = "arm.urdf"\nfiles = ["joints.csv"]\n', encoding="utf-8")
+    job = Job.read(tmp_path / "job.toml", tmp_path / "elsewhere")
+    assert job.named == {"readings.csv": tmp_path / "readings.csv", "arm.urdf": tmp_path / "arm.urdf",
+                         "joints.csv": tmp_path / "elsewhere" / "joints.csv"}
+    assert [path.name for path in job.everything_read] == ["job.toml", "readings.csv", "arm.urdf", "joints.csv"]
+    before = job.sha256()
+    (tmp_path / "arm.urdf").write_text("changed", encoding="utf-8")
+    assert job.sha256() != before
+    with pytest.raises(InputError, match=r"'other.urdf' is not in .*--data"):
+        job.file("other.urdf")

@@ -70,7 +70,7 @@ def discover(
         from calib.report import discovery
         from calib.report.provenance import provenance
 
-        origin = provenance([*read.files, *([problem_file] if problem_file else [])], typed())
+        origin = provenance([*read.everything_read, *([problem_file] if problem_file else [])], typed())
         output.wrote(
             files.write_json(output.path("answer.json"), content),
             discovery.write(_name(read), shown, origin, output.path("report.html")),

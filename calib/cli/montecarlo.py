@@ -61,7 +61,7 @@ def montecarlo(
         raise CalibrationError(f"{solution.problem.name}: no trial converged; the readings hardly hold the unknowns, "
                                "or the estimate is no minimum")
     rows = quantities(found, digits or USUAL_DIGITS)
-    origin = provenance([*read.files, *([problem_file] if problem_file else [])], typed(), seed)
+    origin = provenance([*read.everything_read, *([problem_file] if problem_file else [])], typed(), seed)
     content = {
         "format": 1, "problem": read.problem, "job": read.path.name, "trials": len(found.samples) + found.failures,
         "failures": found.failures, "seed": seed, **content_of(solution), "quantities": rows,

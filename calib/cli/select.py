@@ -79,7 +79,7 @@ def choose(job: Path, keep: int | None, criterion: str, quantities: tuple[str, .
     problem = declared(read, module)
     fit = _fit(problem, separate or ())
     reported = requested(problem, read.quantities, read.report.where("quantities"))
-    files_read = [*read.files, *([problem_file] if problem_file else [])]
+    files_read = [*read.everything_read, *([problem_file] if problem_file else [])]
     if further or separate:
         _only_with_next(keep, budget, at_most, exclusive, others, redundancy, mdb, influence)
         chosen = None if separate else choices.criterion_of(criterion, quantities, reported, ())

@@ -41,7 +41,7 @@ def simulate(
     estimate = solve(problem, method_of(method))
     found = simulated(read, problem, estimate, seed, _effects(effects), getattr(module, "in_columns", None))
     truth = [{"name": name, "value": value, "unit": unit} for name, (value, unit) in found.truth.items()]
-    origin = provenance([*read.files, *([problem_file] if problem_file else [])], typed(), seed)
+    origin = provenance([*read.everything_read, *([problem_file] if problem_file else [])], typed(), seed)
     content = {"format": 1, "problem": read.problem, "seed": seed, "effects": dict(_effects(effects)), "truth": truth,
                "method": estimate.method, "provenance": origin.content()}
     if output.as_json:
@@ -61,7 +61,8 @@ def simulate(
 def _write(output: Output, job: Job, found: Simulated, content: dict[str, object]) -> list[Path]:
     written = [files.write_text(output.path(job.path.name), job.path.read_text(encoding="utf-8-sig"))]
     tables = list(found.tables.values())
-    for place, path in enumerate(job.files[1:]):
+    elsewhere = {path for name, path in job.named.items() if path != job.path.parent / name}    # they stay there
+    for place, path in enumerate(path for path in job.everything_read[1:] if path not in elsewhere):
         if not path.is_relative_to(job.path.parent):
             raise InputError(f"{path}: does not lie below the job; move it there and name it so in the job")
         target = output.path(str(path.relative_to(job.path.parent)))

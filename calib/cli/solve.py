@@ -56,7 +56,7 @@ def solve(
 
     read = Job.read(job, data_folder)
     module = catalogue.module(read.problem, problem_file)
-    origin = provenance([*read.files, *([problem_file] if problem_file else [])], typed())
+    origin = provenance([*read.everything_read, *([problem_file] if problem_file else [])], typed())
     with output.progress(f"solving {job.name}", 1) as step:
         solution = solved(read, module, method_of(method))
         step()

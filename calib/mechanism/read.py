@@ -1,8 +1,7 @@
-"""Files of recorded mechanisms: where they are, joint positions without a header, and measured poses in YAML."""
+"""Files of recorded mechanisms: joint positions without a header, and measured poses in YAML."""
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,25 +12,8 @@ import numpy as np
 from calib.errors import InputError
 from calib.mechanism.axis import Array
 
-DATA_FOLDER = "CALIB_REFERENCE_DATA"
 _LINE = re.compile(r"^(?P<indent> *)(?P<item>- "
                    r"+)?(?:(?P<key>'[^']*'|\"[^\"]*\"|[^:#\s][^:#]*):(?:\s+|$))?(?P<value>[^#]*)")
-
-
-def data_path(job: Any, name: str) -> Path:
-    """Where a file named in a job lies: beside the job, in the folder given with --data, or in $CALIB_REFERENCE_DATA.
-
-    job: with `path`; name: relative or absolute. Raises InputError naming the places that were tried.
-    """
-    places = [job.path.parent]
-    for further in (getattr(job, "data_folder", None), os.environ.get(DATA_FOLDER)):
-        if further and Path(further) not in places:
-            places.append(Path(further))
-    for place in places:
-        if (place / name).exists():
-            return place / name
-    raise InputError(f"{job.path}: '{name}' is not in {', '.join(map(str, places))}; correct the name, give its "
-                     f"folder with --data, or set the environment variable {DATA_FOLDER} to it.")
 
 
 def joint_positions(path: Path, columns: int) -> Array:

@@ -6,16 +6,13 @@ import base64
 import hashlib
 import json
 import os
-import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from calib.errors import InputError
 from calib.job import Job
 
-DATA_FOLDER = "CALIB_REFERENCE_DATA"  # where a job's data may lie besides, as for the problems themselves
 LARGEST = 500_000_000  # bytes of one job; more belongs on a disk that all machines see
 
 
@@ -70,9 +67,13 @@ def packed(job: Job, problem_file: Path | None = None) -> tuple[Parcel, dict[str
     """
     beside = {_plain(path) for path in job.files}
     data: dict[str, Path] = {}
-    for name, path, is_beside in _named(job):
+    for name, path in job.named.items():
+        is_beside = path == job.path.parent / name
+        if Path(name).is_absolute() or (not is_beside and ".." in Path(name).parts):
+            raise InputError(f"{job.path}: names '{name}' by its place on this machine; other machines have other "
+                             "folders: write it relative to the job, or give its folder with --data")
         if is_beside:
-            beside.add(path)
+            beside.add(_plain(path))
         else:
             data[name] = path
     root = Path(os.path.commonpath([path.parent for path in beside])).parent
@@ -98,38 +99,6 @@ def packed(job: Job, problem_file: Path | None = None) -> tuple[Parcel, dict[str
 
 def _plain(path: Path) -> Path:
     return Path(os.path.abspath(path))  # noqa: PTH100 - a link stays what it is called
-
-
-def _named(job: Job) -> Iterator[tuple[str, Path, bool]]:
-    """Files that the settings of a job name, as they are named, and whether they lie beside it or in a folder of data.
-
-    Names that mean this machine alone raise InputError.
-    """
-    if job.path.suffix != ".toml":
-        return
-    folders = [_plain(job.path).parent]
-    folders += [_plain(Path(f)) for f in (job.data_folder, os.environ.get(DATA_FOLDER)) if f]
-    for text in _texts(tomllib.loads(job.path.read_text(encoding="utf-8-sig"))):
-        if not text or len(text) > 1000 or "\n" in text:
-            continue
-        found = next((folder for folder in folders if (folder / text).is_file()), None)
-        if found is None:
-            continue
-        if Path(text).is_absolute() or (found != folders[0] and ".." in Path(text).parts):
-            raise InputError(f"{job.path}: names '{text}' by its place on this machine; other machines have other "
-                             "folders: write it relative to the job, or give its folder with --data")
-        yield text, _plain(found / text), found == folders[0]
-
-
-def _texts(settings: Any) -> Iterator[str]:
-    if isinstance(settings, str):
-        yield settings
-    elif isinstance(settings, dict):
-        for value in settings.values():
-            yield from _texts(value)
-    elif isinstance(settings, list):
-        for value in settings:
-            yield from _texts(value)
 
 
 def in_text(content: bytes) -> str:

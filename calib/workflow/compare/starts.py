@@ -86,8 +86,8 @@ def region(estimate: Estimate, declared: Mapping[str, float] | None = None) -> R
     if wrong:
         raise InputError(f"the start region names '{wrong[0]}', which is no unknown; there are: {', '.join(names)}")
     words = ("the half-widths that the problem declares" if declared else
-             "as half-width the largest value among unknowns of the same unit, half a turn for rotations, what is still "
-             "plausible for effects")
+             "as half-width the largest value among unknowns of the same unit, half a turn for rotations, what is "
+             "still plausible for effects")
     return Region(half, words)
 
 
