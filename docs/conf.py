@@ -12,7 +12,7 @@ from calib.report.provenance import version as _version  # noqa: E402
 
 project = "Calibration framework"
 author = "the authors"
-copyright = "Apache-2.0"
+html_show_copyright = False
 release = version = _version()
 extensions = ["myst_parser"]
 myst_enable_extensions = ["colon_fence", "deflist"]
