@@ -142,6 +142,7 @@ def test_tolerances_are_judged_by_the_guard_band(calib, job):
     assert judged["plumb[three-axis].x"]["verdict"] == "fail"
 
 
+@pytest.mark.slow
 def test_montecarlo_confirms_the_linear_result_and_repeats_itself(calib, job, tmp_path):
     answers = [calib("montecarlo", job, "--trials", 3000, "--seed", 5, "--json", "--out", tmp_path) for _ in range(2)]
     first, second = (json.loads(answer.out)["quantities"] for answer in answers)

@@ -138,6 +138,7 @@ def test_without_any_solution_every_line_says_why():
     assert "cannot be known" in found.lines[0].why
 
 
+@pytest.mark.slow
 def test_the_formulations_of_the_circle_are_compared_on_the_declared_objective(tmp_path):
     job = Job.read(job_of(circle, tmp_path))
     problem = circle.from_job(job)

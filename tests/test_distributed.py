@@ -121,6 +121,7 @@ def test_options_are_added_without_losing_the_text_of_a_command():
 # --- fleets on this machine -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_fleet_does_every_job_and_every_variant_and_says_which_cannot_be_used(calib, job, tmp_path):
     (job.parent / "wrong.toml").write_text(job.read_text().replace('"angle"', '"angel"'))
     (job.parent / "lacking.toml").write_text(job.read_text().replace("points.csv", "nothing.csv"))

@@ -133,6 +133,7 @@ def test_the_printed_sigmas_come_back_by_the_papers_own_propagation():
     assert reproduction()["s3"].more["value_by_partial_derivatives"] == pytest.approx(partial, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_monte_carlo_confirms_every_u_of_the_twelve_results():
     for fit, places in ((fits().step, results.STEP), (fits().joint, results.JOINT)):
         drawn = montecarlo(fit.estimate, 300, seed=11)
@@ -159,6 +160,7 @@ def test_the_scatter_of_section_seven_follows_from_one_named_assumption_and_not_
     assert far == pytest.approx({key: 2 * value for key, value in found.items()}, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_fifteen_simulated_trials_scatter_as_predicted():
     assumed = tracker_simulation.Assumed()
     predicted = tracker_simulation.scatter(assumed)

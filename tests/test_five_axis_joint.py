@@ -57,6 +57,7 @@ def test_sharing_reduces_u_of_the_centres_fourfold_and_moves_them_by_no_more_tha
         assert abs(item.joint - item.value) < 2.58 * math.sqrt(item.u_vc ** 2 - item.joint_u_vc ** 2), key
 
 
+@pytest.mark.slow
 def test_what_the_paper_does_not_print_appears_in_the_budgets():
     budgets = reproduction().studies["budgets"]
     labels = {key: {line["contribution"] for line in lines} for key, lines in budgets.items()}

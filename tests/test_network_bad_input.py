@@ -154,6 +154,7 @@ def test_gross_start_values_are_named_and_the_readings_take_over(tmp_path):
     assert place["C"] == pytest.approx([100, 100], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_blunder_of_a_metre_is_the_reading_that_the_report_names(tmp_path, capsys):
     centre = [(key, "E", 70.7107) for key in "ABCD"]
     rows = [(a, b, value + (1.0 if (a, b) == ("A", "C") else 0.0)) for a, b, value in (*SIDES, *centre)]
@@ -185,6 +186,7 @@ def test_readings_to_points_without_the_coordinate_they_need_take_no_part_and_ar
     assert solve(network.from_job(one)).dof == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("table", "wrong", "words"), [
     ("slope_distances", "reading_mm", "'slope_distances' are 0.001 times what all others say"),
     ("height_differences", "reading_mm", "'height_differences' are 0.001 times what all others say"),

@@ -138,6 +138,7 @@ def test_redundancies_of_every_instrument_add_up(survey):
     assert reliability(fit).redundancy.sum() == pytest.approx(fit.dof, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_trackers_and_ranges_are_read_from_tables(survey, tmp_path, capsys):
     sight, ranges, bar = survey.sightings[0], survey.ranging[0], survey.batches[0]
     rows = [f"{s},{t},{r[0]:.9f},{r[1]:.12f},{r[2]:.12f}"

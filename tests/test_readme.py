@@ -34,7 +34,7 @@ def test_there_are_exactly_two_commands():
     assert "--no-deps --no-build-isolation" in first
     assert first.rstrip().endswith("calib reproduce --out results")
     assert "--require-hashes -r requirements-test.txt" in second
-    assert second.rstrip().endswith("-m pytest")
+    assert second.rstrip().endswith("-m pytest -n auto")
 
 
 def test_the_commands_name_nothing_but_what_is_in_the_repository():

@@ -47,6 +47,7 @@ def test_redundancy_adds_up_to_the_degrees_of_freedom(fit):
     assert field.squares == pytest.approx(fit.objective, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_p_values_of_clean_readings_are_uniform():
     values = []
     for seed in range(30):

@@ -125,6 +125,8 @@ def solve(
     outcome = method.minimise(system, values)
     iterations = outcome.iterations
     for _ in range(20 if system.depends else 0):
+        if not outcome.converged:
+            break
         before = [w.u for w in system.weightings(values)]
         values = outcome.values
         after = [w.u for w in system.weightings(values)]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib import solve
+from calib import GaussNewton, solve
 from calib.errors import CalibrationError, InputError
 from problems.network.declare import declare
 from problems.network.start import positions
@@ -18,6 +18,7 @@ ANGLES = (0.9, 1 / 0.9, np.pi / 180, 180 / np.pi, np.pi / 200, 200 / np.pi)    #
 FITS = 0.25       # of the points that contradict each other may be left
 LARGEST = 3000    # readings up to which a fit that fits nothing is tried again with each unit
 SENSELESS, FAR_BETTER = 1e3, 1e-2      # variance factor of such a fit, and its part that another unit leaves
+STEPS = 50        # with the right unit the fit needs few
 
 
 def contradicting_unit(survey: Survey, gross: Callable[[Survey], set[str]], before: int) -> str | None:
@@ -43,7 +44,7 @@ def fitting_unit(survey: Survey, objective: float, dof: int) -> str | None:
         return None
     for group, factor, changed in _suspicions(survey):
         try:
-            if solve(declare(positions(changed))).objective < FAR_BETTER * objective:
+            if solve(declare(positions(changed)), GaussNewton(iterations=STEPS)).objective < FAR_BETTER * objective:
                 return _sentence(group, factor)
         except CalibrationError:
             continue
