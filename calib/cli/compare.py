@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from calib import catalogue, files
-from calib.cli.output import DONE, FAILED, Output, job_argument, output_options, problem_file_option, typed
+from calib.cli.output import DONE, FAILED, Output, job_argument, output_options, problem_file_option, sources, typed
 from calib.job import Job
 from calib.report import numbers
 
@@ -47,7 +47,7 @@ def compare(job: Path, starts: int, draws: int, seconds: float, trials: int, see
     with output.progress(f"comparing {job.name}",
                          len(methods()) + len(others) + (len(NOISES) if trials else 0)) as step:
         found: Comparison = compared(problem, what, others, Effort(starts, draws, seed, seconds, trials), where, step)
-    origin = provenance([*read.everything_read, *([problem_file] if problem_file else [])], typed(), seed)
+    origin = provenance(sources(read, problem_file), typed(), seed)
     content = report.content(found)
     output.result(content)
     output.say(f"{problem.name}: formulations side by side\n")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from calib import catalogue, files
-from calib.cli.output import DONE, Output, job_options, output_options, typed
+from calib.cli.output import DONE, Output, job_options, output_options, sources, typed
 from calib.job import Job
 from calib.problem import Problem
 from calib.report import numbers
@@ -70,7 +70,7 @@ def discover(
         from calib.report import discovery
         from calib.report.provenance import provenance
 
-        origin = provenance([*read.everything_read, *([problem_file] if problem_file else [])], typed())
+        origin = provenance(sources(read, problem_file), typed())
         output.wrote(
             files.write_json(output.path("answer.json"), content),
             discovery.write(_name(read), shown, origin, output.path("report.html")),

@@ -12,7 +12,7 @@ import click
 import numpy as np
 
 from calib import catalogue, files, units
-from calib.cli.output import DONE, FAILED, Output, job_options, output_options, typed
+from calib.cli.output import DONE, FAILED, Output, job_options, output_options, sources, typed
 from calib.cli.place import place_options
 from calib.cli.solve import content_of, method_of, method_option
 from calib.errors import CalibrationError
@@ -61,7 +61,7 @@ def montecarlo(
         raise CalibrationError(f"{solution.problem.name}: no trial converged; the readings hardly hold the unknowns, "
                                "or the estimate is no minimum")
     rows = quantities(found, digits or USUAL_DIGITS)
-    origin = provenance([*read.everything_read, *([problem_file] if problem_file else [])], typed(), seed)
+    origin = provenance(sources(read, problem_file), typed(), seed)
     content = {
         "format": 1, "problem": read.problem, "job": read.path.name, "trials": len(found.samples) + found.failures,
         "failures": found.failures, "seed": seed, **content_of(solution), "quantities": rows,

@@ -15,6 +15,7 @@ from typing import Any
 import click
 
 from calib import files
+from calib.job import Job
 
 DONE, FAILED, INPUT, STOPPED = 0, 1, 2, 130
 WORDS: ContextVar[Sequence[str] | None] = ContextVar("words", default=None)     # of a command that another one runs
@@ -106,6 +107,11 @@ job_argument = click.argument("job", type=click.Path(path_type=Path))
 def job_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the argument JOB and the options --data and --problem-file to a command."""
     return job_argument(data_option(problem_file_option(command)))
+
+
+def sources(job: Job, problem_file: Path | None) -> list[Path]:
+    """All files behind a result, for its provenance: what the job reads and names, and a person's own problem file."""
+    return [*job.everything_read, *([] if problem_file is None else [problem_file])]
 
 
 def typed() -> str:

@@ -15,7 +15,7 @@ from calib.analyse.selection.method import BranchAndBound, Conic, Exchange, Exha
 from calib.analyse.selection.planning import Step, along, next_best, separates_most
 from calib.analyse.selection.select import Choice, select
 from calib.cli import choices
-from calib.cli.output import DONE, Output, job_argument, output_options, problem_file_option, typed
+from calib.cli.output import DONE, Output, job_argument, output_options, problem_file_option, sources, typed
 from calib.errors import InputError
 from calib.job import Job
 from calib.linearisation import Linearisation, linearise
@@ -79,7 +79,7 @@ def choose(job: Path, keep: int | None, criterion: str, quantities: tuple[str, .
     problem = declared(read, module)
     fit = _fit(problem, separate or ())
     reported = requested(problem, read.quantities, read.report.where("quantities"))
-    files_read = [*read.everything_read, *([problem_file] if problem_file else [])]
+    files_read = sources(read, problem_file)
     if further or separate:
         _only_with_next(keep, budget, at_most, exclusive, others, redundancy, mdb, influence)
         chosen = None if separate else choices.criterion_of(criterion, quantities, reported, ())

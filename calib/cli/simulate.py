@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from calib import catalogue, files, units
-from calib.cli.output import DONE, Output, job_options, output_options, typed
+from calib.cli.output import DONE, Output, job_options, output_options, sources, typed
 from calib.cli.solve import method_of, method_option
 from calib.errors import InputError
 from calib.job import Job
@@ -41,7 +41,7 @@ def simulate(
     estimate = solve(problem, method_of(method))
     found = simulated(read, problem, estimate, seed, _effects(effects), getattr(module, "in_columns", None))
     truth = [{"name": name, "value": value, "unit": unit} for name, (value, unit) in found.truth.items()]
-    origin = provenance([*read.everything_read, *([problem_file] if problem_file else [])], typed(), seed)
+    origin = provenance(sources(read, problem_file), typed(), seed)
     content = {"format": 1, "problem": read.problem, "seed": seed, "effects": dict(_effects(effects)), "truth": truth,
                "method": estimate.method, "provenance": origin.content()}
     if output.as_json:

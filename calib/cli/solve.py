@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from calib import catalogue, files
-from calib.cli.output import DONE, FAILED, Output, job_options, output_options, typed
+from calib.cli.output import DONE, FAILED, Output, job_options, output_options, sources, typed
 from calib.job import Job
 from calib.report import numbers
 from calib.solve.gauss_newton import GaussNewton
@@ -56,7 +56,7 @@ def solve(
 
     read = Job.read(job, data_folder)
     module = catalogue.module(read.problem, problem_file)
-    origin = provenance([*read.everything_read, *([problem_file] if problem_file else [])], typed())
+    origin = provenance(sources(read, problem_file), typed())
     with output.progress(f"solving {job.name}", 1) as step:
         solution = solved(read, module, method_of(method))
         step()

@@ -129,7 +129,7 @@ def compare(declared: Problem, what: Sequence[Any], formulations: Mapping[str, F
             lines = list(_with_starts(lines, formulations, declared, estimate, effort, start_region))
         if effort.trials:
             lines = _with_study(lines, formulations, wanted, reference, estimate, effort, step)
-    return Comparison(declared, wanted, tuple(lines), lines[0] if reference is lines[0] else _same(lines, reference))
+    return Comparison(declared, wanted, tuple(lines), _same(lines, reference))
 
 
 def _same(lines: Sequence[Compared], reference: Compared | None) -> Compared | None:
