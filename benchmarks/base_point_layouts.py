@@ -15,10 +15,11 @@ import numpy as np
 import calib
 from calib.errors import RankDefect
 from calib.units import degree, um
-from problems import base_point, base_point_layout, base_point_published, multilateration
+from problems import base_point, base_point_layout, multilateration
+from problems.base_point import paper
+from problems.base_point.lines import Lines
+from problems.base_point.paper import FEET, NOISE_NEEDED, NOISE_PRINTED, OFF, layout_targets, travel
 from problems.base_point_layout import FREE, KNOWN, TIED
-from problems.base_point_lines import Lines
-from problems.base_point_published import FEET, NOISE_NEEDED, NOISE_PRINTED, OFF, layout_targets, travel
 from problems.multilateration import Calibration, Ranges
 
 RESULTS = Path(__file__).parent / "results"
@@ -38,7 +39,7 @@ def readings_of_section_3(trials: int) -> Rows:
                 u = {name: u_of(foot, zero, unknowns, noise) / um for name, foot in FEET.items()}
                 rows.append({"noise_um": noise / um, "start_length": start, "unknowns": unknowns, "sym_um": u["sym"],
                              "half_um": u["half"], "ratio": u["half"] / u["sym"]})
-    sampled = {name: base_point_published.simulated_sigma_x(foot, NOISE_NEEDED, trials, 1)
+    sampled = {name: paper.simulated_sigma_x(foot, NOISE_NEEDED, trials, 1)
                for name, foot in FEET.items()}
     rows.append({"noise_um": 1.0, "start_length": "tied", "unknowns": f"Monte Carlo of equation 1, {trials} trials",
                  "sym_um": sampled["sym"], "half_um": sampled["half"], "ratio": sampled["half"] / sampled["sym"]})

@@ -24,12 +24,12 @@ from calib.analyse.score import candidates, field_of, orthonormal
 from calib.table import shipped
 from calib.units import arcsec, minute, mm, um
 from calib.workflow.discrepancy.power import detectable
-from problems import axis_points, base_point, base_point_published, plumb, positioning
-from problems.base_point import LENGTHENING, SHORTENING, FreeStart, TiedStart
-from problems.base_point_lines import Lines
+from problems import axis_points, base_point, plumb, positioning
+from problems.base_point import LENGTHENING, SHORTENING, FreeStart, TiedStart, paper
+from problems.base_point.lines import Lines
 from problems.five_axis import jobs
 from problems.five_axis.readings import Circle, Readings, published
-from problems.turntable_tables import RADIUS, U_POLYGON
+from problems.turntable.tables import RADIUS, U_POLYGON
 
 U_TRACKER_CHORD = 16.5 * um  # of a point at 3 m across the beam, by the stated (15 um + 6 um/m)/2; distance assumed
 DRAWS = 20_000  # simulated residuals behind every p-value of the look at table 2 of the base point
@@ -117,14 +117,14 @@ def base_points() -> Iterator[Case]:
     yield Case(paper, "table 1, simulation on one line", with_what_acts(one, base_point.effects()),
                "made by the paper without any effect, u = 1 um")
     for column, words in (("d", "digits repaired"), ("d_printed", "as printed")):
-        for zero, start in ((TiedStart(base_point_published.ZERO_POINT), "start tied"),
-                            (FreeStart(base_point_published.ZERO_POINT), "start free")):
+        for zero, start in ((TiedStart(paper.ZERO_POINT), "start tied"),
+                            (FreeStart(paper.ZERO_POINT), "start free")):
             yield Case(paper, f"table 2, {start}, {words}", experiment(column, zero), "no u is printed: 1 um")
 
 
 def experiment(column: str, zero: base_point.Zero) -> Problem:
     """Table 2 with what can be said of its rows: order of the lines (an even pace assumed), line, travel on it."""
-    lines = base_point_published.experiment(column)
+    lines = paper.experiment(column)
     line = shipped("base_point/table2_experiment.csv").text("line")
     travel = np.where(line == "X", lines.points[:, 0], lines.points[:, 1])
     lines = replace(lines, covariates={"line": line, "travel": (travel, "mm"), "block": 1 + (line == "Y"),
@@ -180,7 +180,7 @@ def size_p(found: Any) -> float:
 
 def correlation_of_table_2(seed: int = 1) -> dict[str, Any]:
     """Looks at what stays from reading to reading with the start free: how rare, and what shape explains it."""
-    problem = experiment("d", FreeStart(base_point_published.ZERO_POINT))
+    problem = experiment("d", FreeStart(paper.ZERO_POINT))
     estimate = solve(problem)
     fit = linearise(estimate)
     field = field_of(fit, ())
@@ -249,7 +249,7 @@ def figure_of_table_2() -> Any:
     from matplotlib.figure import Figure
 
     matplotlib.rcParams["svg.hashsalt"] = "table 2"  # the same file from the same numbers
-    problem = experiment("d", FreeStart(base_point_published.ZERO_POINT))
+    problem = experiment("d", FreeStart(paper.ZERO_POINT))
     observed, residual = problem.observations[0], solve(problem).residuals
     line, travel = observed.covariates["line"], np.asarray(observed.covariates["travel"], float) / mm
     left = residual[observed.group][:, 0] / um

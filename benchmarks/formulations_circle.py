@@ -20,12 +20,13 @@ from calib.workflow.compare.again import again
 from calib.workflow.compare.answer import Wanted, results
 from calib.workflow.compare.formulation import Global
 from calib.workflow.compare.study import AS_STATED, NOISES, Noise, study
-from problems import circle, circle_formulations
+from problems import circle
+from problems.circle import alternatives
 
 RESULTS = Path(__file__).parent / "results"
 RADIUS, NOISE, POINTS = 0.1, 50.0 * um, 24
 ARCS = (20, 45, 90, 180, 330)
-OBJECTIVES = {name: one for name, one in circle_formulations.formulations(None).items()
+OBJECTIVES = {name: one for name, one in alternatives.formulations(None).items()
               if not isinstance(one, Global) and name not in ("equation 14", "mean of positions")}
 
 

@@ -24,7 +24,7 @@ from calib.mechanism.clusters import alike_postures
 from calib.mechanism.sensitivity import place_by_positions
 from calib.units import arcsec, mm, mrad
 from problems import serial_arm
-from problems.serial_arm_model import family_of
+from problems.serial_arm.model import family_of
 
 EXPECTED = {"length": 0.5 * mm, "tilt": 2 * mrad, "zero": 5 * mrad, "sag": 5 * mrad, "windup": 60 * arcsec,
             "bending": 5 * mrad, "encoder": 0.2 * mrad, "seat": 0.1 * mm, "joint": 30 * arcsec}

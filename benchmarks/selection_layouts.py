@@ -10,9 +10,9 @@ from calib.analyse.selection.planning import next_best, over
 from calib.errors import RankDefect
 from calib.solve.placement import as_settings, best_places
 from calib.units import degree, mm, um
-from problems import base_point, base_point_layout, base_point_published, circle
-from problems.base_point import SHORTENING, FreeStart, TiedStart
-from problems.base_point_lines import Lines
+from problems import base_point, base_point_layout, circle
+from problems.base_point import SHORTENING, FreeStart, TiedStart, paper
+from problems.base_point.lines import Lines
 
 Rows = list[dict[str, object]]
 
@@ -43,7 +43,7 @@ def symmetric_against_half() -> Rows:
     for start, zero in (("tied", base_point_layout.TIED), ("free", base_point_layout.FREE)):
         for foot, words in ((0.7, "symmetric"), (1.4, "half-symmetric")):
             centre = (foot, 0.5)
-            own = base_point_layout.uncertainties(base_point_published.layout_targets(), centre, zero, 1 * um)
+            own = base_point_layout.uncertainties(paper.layout_targets(), centre, zero, 1 * um)
             grid = np.column_stack([travel[1:], np.zeros(140)])
             fit = calib.linearise(base_point_layout.planar(grid, centre, zero, 1 * um))
             best = calib.select(fit, 10, C("base_point.x"))
@@ -56,7 +56,7 @@ def symmetric_against_half() -> Rows:
 
 def experiment_against_best() -> Rows:
     """The layout of the experiment against the best 30 points on the same two lines, and the next best points."""
-    own = base_point_published.experiment("d")
+    own = paper.experiment("d")
     begin = calib.solve(base_point.declare(own, sense=SHORTENING))["base_point"]
     on_x = own.along[:, 0] > 0
     dense = []

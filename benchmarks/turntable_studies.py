@@ -16,7 +16,8 @@ import numpy as np
 import calib
 from calib.units import arcsec, degree, mm, um
 from instruments import laser_tracker
-from problems import circle, pairwise_circle
+from problems import circle
+from problems.circle import pairwise
 
 RESULTS = Path(__file__).parent / "results"
 NOISE = 10.0 * um
@@ -87,15 +88,15 @@ def large_table(trials: int) -> list[dict[str, float | str]]:
     for kind, u in kinds.items():
         covariance = laser_tracker.cartesian_covariance(polar, u)
         of_point = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0)
-        weight = pairwise_circle.weights(of_point)
+        weight = pairwise.weights(of_point)
         full = circle.declare(points, calib.Gaussian.matrix(covariance), command)
         formulations = {
             "equal weights": lambda p, s=of_point: circle.declare(p, float(np.sqrt(np.mean(s**2))), command),
             "weight of each point": lambda p, s=of_point: circle.declare(p, np.tile(s[:, None], 3), command),
             "covariance of each point": lambda p, c=covariance: circle.declare(p, calib.Gaussian.matrix(c), command),
-            "equation 8": pairwise_circle.pairwise,
-            "equation 14 repaired": lambda p, w=weight: pairwise_circle.repaired_pairwise(p, w),
-            "equation 14 as printed": lambda p, w=weight: pairwise_circle.weighted_pairwise(p, w)}
+            "equation 8": pairwise.pairwise,
+            "equation 14 repaired": lambda p, w=weight: pairwise.repaired_pairwise(p, w),
+            "equation 14 as printed": lambda p, w=weight: pairwise.weighted_pairwise(p, w)}
         errors: dict[str, list[tuple[float, float]]] = {name: [] for name in formulations}
         for seed in range(trials):
             seen = calib.simulate(full, None, seed).observations[0].readings

@@ -23,7 +23,7 @@ from calib.solve.ipopt import Ipopt
 from calib.solve.method import Method
 from problems import base_point
 from problems.base_point import AbsoluteRange, FreeStart, TiedStart
-from problems.base_point_lines import Lines
+from problems.base_point.lines import Lines
 
 Array = NDArray[np.float64]
 accepts = ("base_point_layout", "base-point-layout")

@@ -39,8 +39,8 @@ from calib.table import Table
 from calib.units import mm, um
 from calib.unknown import Selection
 from instruments import interferometer
-from problems import algebraic_base_point, base_point_lines
-from problems.base_point import COUNTS, LENGTHENING
+from problems.base_point import COUNTS, LENGTHENING, algebraic
+from problems.base_point.lines import coordinates
 from problems.recorded import recorded
 
 Array = NDArray[np.float64]
@@ -274,15 +274,15 @@ def from_job(job: Job) -> Problem:
 
 def _places(table: Table, what: str) -> dict[str, Array]:
     """Positions {key: (3,)} of a table."""
-    return dict(zip(table.text(what).tolist(), base_point_lines.coordinates(table), strict=True))
+    return dict(zip(table.text(what).tolist(), coordinates(table), strict=True))
 
 
 def remarks(job: Job) -> tuple[str, ...]:
     """What no reading of a job can show, in words; empty where all is seen."""
     targets = job.table("targets")
     if targets.has("known") and targets.whole("known").any():
-        return algebraic_base_point.unseen(base_point_lines.coordinates(targets)[targets.whole("known") == 1])
-    return unseen_by(base_point_lines.coordinates(job.table("trackers")))
+        return algebraic.unseen(coordinates(targets)[targets.whole("known") == 1])
+    return unseen_by(coordinates(job.table("trackers")))
 
 
 def unseen_by(base: Array) -> tuple[str, ...]:
@@ -290,7 +290,7 @@ def unseen_by(base: Array) -> tuple[str, ...]:
     mirror = ("Trackers that calibrate themselves see lengths only: the mirror image of all trackers and targets "
               "together gives the same readings. The approximate positions choose the side.",)
     hidden = 6 - len(base)                          # found from the rank of plans with 4 to 8 trackers in one plane
-    if algebraic_base_point.Span.of(base).rank == 3 or hidden < 1:
+    if algebraic.Span.of(base).rank == 3 or hidden < 1:
         return mirror
     ways = "two independent deformations" if hidden == 2 else "one deformation"
     return (*mirror, f"All {len(base)} base points lie in one plane: {ways} of their figure in that plane, with the "

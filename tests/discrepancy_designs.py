@@ -15,7 +15,8 @@ from calib import Problem, predict
 from calib.geometry import Transform
 from calib.units import arcsec, degree, minute, mm, nm, um
 from instruments import laser_tracker
-from problems import axis_points, base_point, base_point_lines, plumb, turntable
+from problems import axis_points, base_point, plumb, turntable
+from problems.base_point.lines import Lines, directions
 from problems.circle import in_plane
 from problems.locators.campaign import drawn_poses
 from problems.locators.errors import Frames
@@ -182,7 +183,7 @@ def lines(g: Generator) -> Design:
                 sigma.append((10 * nm, 2 * nm) if fine else (0.6 * um, 0.3 * um))
     points, along, blocks, way, sigma = map(np.array, (points, along, blocks, way, sigma))
     time = _time(g, len(points), 16)
-    cov = {"line": np.array(line), "block": blocks, "direction": way, **base_point_lines.directions(way, along),
+    cov = {"line": np.array(line), "block": blocks, "direction": way, **directions(way, along),
            "time": (time, "s"), "temperature_difference": (_temperature(g, time), "K"),
            "abbe_x": (g.uniform(0.1, 0.4) + 0.1 * (blocks % 3), "m"), "abbe_y": (0.1 + 0.07 * (blocks % 2), "m")}
     velocity = along * np.array(speed)[:, None]
@@ -197,7 +198,7 @@ def lines(g: Generator) -> Design:
             given = np.zeros(len(points))
             for z in dict.fromkeys(zeroing):
                 given[np.array(zeroing) == z] = np.ravel(readings[group(z)])
-        laid = base_point_lines.Lines(points, given, sigma[:, 0], along, sigma[:, 1], velocity=velocity,
+        laid = Lines(points, given, sigma[:, 0], along, sigma[:, 1], velocity=velocity,
                                       zeroing=zeroing, covariates=cov)
         problem = base_point.declare(laid, base_point.FreeStart(), base_point.ProjectedCoordinates(), begin=base)
         return base_point.with_recorded_effects(problem, laid, size / 2, size / 2)

@@ -8,7 +8,7 @@ import calib
 from calib.errors import InputError, RankDefect
 from calib.table import shipped
 from calib.units import hour, nm, ppm, um, urad
-from problems import algebraic_base_point, base_point, base_point_published
+from problems import base_point
 from problems.base_point import (
     LENGTHENING,
     SHORTENING,
@@ -18,13 +18,15 @@ from problems.base_point import (
     FreeStart,
     ProjectedCoordinates,
     TiedStart,
+    algebraic,
+    paper,
 )
-from problems.base_point_lines import Lines
+from problems.base_point.lines import Lines
 
-EXPERIMENT = base_point_published.experiment("d")
+EXPERIMENT = paper.experiment("d")
 TIED = calib.solve(base_point.declare(EXPERIMENT, TiedStart(), sense=SHORTENING))
 FREE = calib.solve(base_point.declare(EXPERIMENT, FreeStart((0.0, 0.0, 0.0)), sense=SHORTENING))
-PUBLISHED = base_point_published.reproduce()
+PUBLISHED = paper.reproduce()
 
 
 def simulated(seed=1, u=0.5 * um, sense=LENGTHENING, **more):
@@ -65,9 +67,9 @@ def test_the_readings_refuse_a_start_tied_to_the_zero_point():
 
 
 def test_the_simulated_spread_of_x_is_the_linear_one():
-    for foot in base_point_published.FEET.values():
-        linear = base_point_published.sigma_x(foot, 1.0 * um)
-        drawn = base_point_published.simulated_sigma_x(foot, 1.0 * um, 2000, 5)
+    for foot in paper.FEET.values():
+        linear = paper.sigma_x(foot, 1.0 * um)
+        drawn = paper.simulated_sigma_x(foot, 1.0 * um, 2000, 5)
         assert drawn == pytest.approx(linear, rel=4.0 / np.sqrt(2 * 2000))
 
 
@@ -87,7 +89,7 @@ def test_the_certificate_and_both_methods_agree():
 def test_a_wrong_counting_sense_is_detected_and_the_right_one_named(sense, wrong):
     lines = simulated(sense=sense)
     right = "lengthening" if sense > 0 else "shortening"
-    assert algebraic_base_point.counting_sense(lines.points, lines.readings) == sense
+    assert algebraic.counting_sense(lines.points, lines.readings) == sense
     assert calib.solve(base_point.declare(lines, sense=sense)).p_value > 0.001
     with pytest.raises(InputError, match=f'wrong counting sense: counts = "{wrong}".*set counts = "{right}"'):
         base_point.declare(lines, sense=-sense)
@@ -101,7 +103,7 @@ def test_a_wrong_sense_is_found_with_the_start_tied_too():
 def test_a_short_line_leaves_the_sense_undecided_and_is_not_refused():
     points = np.column_stack([np.linspace(0.0, 2e-6, 8), np.zeros((8, 2))])
     readings = np.linalg.norm(points - BASE, axis=1) - 1.4 + np.random.default_rng(2).normal(0.0, 5 * nm, 8)
-    assert algebraic_base_point.counting_sense(points, readings) == 0.0
+    assert algebraic.counting_sense(points, readings) == 0.0
 
 
 def test_adjusted_and_projected_coordinates_give_the_same_base_point():
@@ -168,7 +170,7 @@ def test_the_mirror_image_fits_as_well_and_is_said_in_words():
     mirrored = calib.solve(base_point.declare(EXPERIMENT, TiedStart(), sense=SHORTENING, begin=(-0.2, 1.4, 0.2)))
     assert mirrored["base_point"] * [1, 1, -1] == pytest.approx(TIED["base_point"], abs=1e-9)
     assert mirrored.objective == pytest.approx(TIED.objective, rel=1e-9)
-    (sentence,) = algebraic_base_point.unseen(EXPERIMENT.points)
+    (sentence,) = algebraic.unseen(EXPERIMENT.points)
     assert "plane z = 0" in sentence and "sign of z is not observable" in sentence and "mirror image" in sentence
 
 
@@ -177,9 +179,9 @@ def test_one_line_leaves_the_turn_about_it_unknown():
     lines = Lines(points, EXPERIMENT.readings[:14], 1.0 * um)
     with pytest.raises(RankDefect, match="base_point"):
         calib.solve(base_point.declare(lines, sense=SHORTENING))
-    (sentence,) = algebraic_base_point.unseen(points)
+    (sentence,) = algebraic.unseen(points)
     assert "one line along x" in sentence and "turning the base point about that line" in sentence
-    assert algebraic_base_point.unseen(box()[0]) == ()
+    assert algebraic.unseen(box()[0]) == ()
 
 
 def test_one_line_by_equation_1_gives_the_foot_and_the_distance_of_the_base_point():

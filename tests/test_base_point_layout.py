@@ -7,7 +7,8 @@ import calib
 from calib.errors import InputError, RankDefect
 from calib.job import Job
 from calib.units import degree, um
-from problems import base_point, base_point_layout, base_point_published
+from problems import base_point, base_point_layout
+from problems.base_point import paper
 from problems.base_point_layout import FREE, KNOWN, TIED
 
 PRINTED = np.radians([0.0, 60.0, -60.0])                  # the three directions of the printed matrix A
@@ -75,7 +76,7 @@ def test_targets_in_one_direction_do_not_determine_the_base_point():
 
 def test_symmetric_is_better_along_the_line_and_hardly_across():
     for zero, ratio_x, ratio_y in ((TIED, 6.47, 1.73), (FREE, 5.38, 1.77)):
-        u = [base_point_layout.uncertainties(base_point_published.layout_targets(), (foot, 0.5), zero, 1.0 * um)
+        u = [base_point_layout.uncertainties(paper.layout_targets(), (foot, 0.5), zero, 1.0 * um)
              for foot in (0.7, 1.4)]
         assert u[1] / u[0] == pytest.approx([ratio_x, ratio_y], abs=0.01)
 
@@ -84,7 +85,7 @@ def test_with_the_start_tied_the_best_foot_is_not_in_the_middle_and_with_a_free_
     feet = np.arange(0.3, 1.2, 0.01)
     best = {}
     for name, zero in (("tied", TIED), ("free", FREE)):
-        u = [base_point_layout.uncertainties(base_point_published.layout_targets(), (foot, 0.5), zero, 1.0 * um)[0]
+        u = [base_point_layout.uncertainties(paper.layout_targets(), (foot, 0.5), zero, 1.0 * um)[0]
              for foot in feet]
         best[name] = feet[int(np.argmin(u))]
         if name == "tied":
@@ -94,14 +95,14 @@ def test_with_the_start_tied_the_best_foot_is_not_in_the_middle_and_with_a_free_
 
 def test_equation_1_and_the_planar_calibration_tied_to_its_zero_are_one_model():
     for foot in (0.7, 1.4):
-        plan = base_point.declare_one_line(base_point_published.travel(), None, 1.0 * um, begin=(foot, 0.5))
+        plan = base_point.declare_one_line(paper.travel(), None, 1.0 * um, begin=(foot, 0.5))
         by_equation_1 = calib.covariance(calib.linearise(plan), "beside").u
-        planar = base_point_layout.uncertainties(base_point_published.layout_targets(), (foot, 0.5), TIED, 1.0 * um)
+        planar = base_point_layout.uncertainties(paper.layout_targets(), (foot, 0.5), TIED, 1.0 * um)
         assert planar == pytest.approx(by_equation_1, rel=1e-9)
 
 
 def test_the_mirror_turns_by_half_of_what_the_beam_turns():
-    travel = base_point_published.travel()
+    travel = paper.travel()
     assert base_point_layout.mirror_rotation(travel, 0.7, 0.5) / degree == pytest.approx(54.46, abs=0.01)
     assert base_point_layout.mirror_rotation(travel, 1.4, 0.5) / degree == pytest.approx(35.17, abs=0.01)
 

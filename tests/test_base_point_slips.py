@@ -6,17 +6,18 @@ import pytest
 import calib
 from calib.table import shipped
 from calib.units import mm, um
-from problems import base_point, base_point_published
+from problems import base_point
 from problems.base_point import (
     SHORTENING,
     FreeStart,
     TiedStart,
+    paper,
 )
 
-EXPERIMENT = base_point_published.experiment("d")
+EXPERIMENT = paper.experiment("d")
 TIED = calib.solve(base_point.declare(EXPERIMENT, TiedStart(), sense=SHORTENING))
 FREE = calib.solve(base_point.declare(EXPERIMENT, FreeStart((0.0, 0.0, 0.0)), sense=SHORTENING))
-PUBLISHED = base_point_published.reproduce()
+PUBLISHED = paper.reproduce()
 BASE = np.array([-0.21, 1.38, -0.3])
 
 
@@ -63,9 +64,9 @@ def test_the_noise_of_table_1_is_a_micrometre_and_is_not_in_its_readings():
     assert np.sum((e / um) ** 2) == pytest.approx(6.84, abs=0.01)
     assert np.abs(a - exact).max() < 0.12 * um and np.abs(a - exact - e).max() > 2.0 * um
     for name, printed, needed in (("sym", 0.040, 0.40), ("half", 0.26, 2.58)):
-        foot = base_point_published.FEET[name]
-        assert base_point_published.sigma_x(foot, 0.1 * um) == pytest.approx(printed, abs=0.005)
-        assert base_point_published.sigma_x(foot, 1.0 * um) == pytest.approx(needed, abs=0.005)
+        foot = paper.FEET[name]
+        assert paper.sigma_x(foot, 0.1 * um) == pytest.approx(printed, abs=0.005)
+        assert paper.sigma_x(foot, 1.0 * um) == pytest.approx(needed, abs=0.005)
 
 
 def test_two_or_three_unknowns_print_the_same_s():

@@ -8,7 +8,8 @@ from calib.errors import InputError, RankDefect
 from calib.job import Job
 from calib.units import arcsec, degree, um
 from instruments import laser_tracker
-from problems import algebraic_circle, circle, pairwise_circle
+from problems import circle
+from problems.circle import algebraic, pairwise
 
 COMMAND = np.arange(13) * 30.0 * degree
 CENTRE, NORMAL = np.array([2.0, 1.0, 0.3]), np.array([0.1, 0.2, 1.0]) / np.linalg.norm([0.1, 0.2, 1.0])
@@ -20,7 +21,7 @@ def circle_points(command=COMMAND, radius=0.1, noise=0.0, seed=0):
     return exact + np.random.default_rng(seed).normal(0.0, noise, exact.shape) if noise else exact
 
 
-@pytest.mark.parametrize("fit", [algebraic_circle.kasa, algebraic_circle.pratt, algebraic_circle.taubin])
+@pytest.mark.parametrize("fit", [algebraic.kasa, algebraic.pratt, algebraic.taubin])
 @pytest.mark.parametrize("arc", [360.0, 90.0, 20.0])
 def test_every_algebraic_fit_gives_an_exact_circle(fit, arc):
     angle = np.radians(np.linspace(0.0, arc, 9))
@@ -33,16 +34,16 @@ def test_kasa_shrinks_a_short_arc_more_than_pratt_and_taubin():
     angle, rng = np.radians(np.linspace(0.0, 20.0, 13)), np.random.default_rng(5)
     arcs = [np.column_stack([np.cos(angle), np.sin(angle)]) + rng.normal(0.0, 4e-3, (13, 2)) for _ in range(200)]
     radius = {fit: np.median([fit(arc)[2] for arc in arcs]) for fit in
-              (algebraic_circle.kasa, algebraic_circle.pratt, algebraic_circle.taubin)}
-    assert radius[algebraic_circle.kasa] < 0.8
-    assert radius[algebraic_circle.pratt] == pytest.approx(1.0, abs=0.2)
-    assert radius[algebraic_circle.taubin] == pytest.approx(1.0, abs=0.2)
+              (algebraic.kasa, algebraic.pratt, algebraic.taubin)}
+    assert radius[algebraic.kasa] < 0.8
+    assert radius[algebraic.pratt] == pytest.approx(1.0, abs=0.2)
+    assert radius[algebraic.taubin] == pytest.approx(1.0, abs=0.2)
 
 
 def test_the_start_follows_the_sense_of_the_command_and_whole_turns():
     command = np.arange(0.0, 721.0, 40.0) * degree
-    forwards = algebraic_circle.space_circle(circle_points(command), command=command)
-    backwards = algebraic_circle.space_circle(circle_points(-command), command=command)
+    forwards = algebraic.space_circle(circle_points(command), command=command)
+    backwards = algebraic.space_circle(circle_points(-command), command=command)
     assert np.allclose(forwards.foot, command, atol=1e-9) and np.allclose(forwards.normal, NORMAL)
     assert np.allclose(backwards.foot, command, atol=1e-9) and np.allclose(backwards.normal, -NORMAL)
 
@@ -121,7 +122,7 @@ def printed_objective(points, centre, plane):
 
 def test_the_declared_pairwise_problem_is_equation_8():
     points = circle_points(noise=20.0 * um)
-    estimate = calib.solve(pairwise_circle.pairwise(points))
+    estimate = calib.solve(pairwise.pairwise(points))
     printed = printed_objective(points, estimate["centre"], estimate["plane"])
     assert estimate.objective == pytest.approx(printed, rel=1e-9)
     assert len(estimate.residuals["pairs"]) + len(estimate.residuals["plane"]) == 13 * 12 // 2 + 13
@@ -130,7 +131,7 @@ def test_the_declared_pairwise_problem_is_equation_8():
 def test_equation_8_counts_the_radial_error_twice_and_the_axial_once():
     """Sum over i, j of (d_i - d_j)^2 is 2 n times the sum of (d_i - mean d)^2; a plane distance enters n times."""
     points, n = circle_points(noise=20.0 * um), 13
-    estimate = calib.solve(pairwise_circle.pairwise(points))
+    estimate = calib.solve(pairwise.pairwise(points))
     d = np.linalg.norm(points - estimate["centre"], axis=1)
     radial = np.sum((d - d.mean()) ** 2)
     axial = np.sum(estimate.residuals["plane"] ** 2)
@@ -138,7 +139,7 @@ def test_equation_8_counts_the_radial_error_twice_and_the_axial_once():
 
 
 def test_equation_8_without_conditions_leaves_the_axis_and_the_scale_of_the_plane_open():
-    problem = pairwise_circle.pairwise(circle_points())
+    problem = pairwise.pairwise(circle_points())
     with pytest.raises(RankDefect) as refused:
         calib.solve(calib.Problem(problem.observations))
     assert len(refused.value.directions) == 2
@@ -148,18 +149,18 @@ def test_equation_8_without_conditions_leaves_the_axis_and_the_scale_of_the_plan
 
 def test_equation_14_is_not_zero_on_an_exact_circle_unless_the_weights_are_equal():
     points = circle_points(radius=4.0)
-    unequal = pairwise_circle.weights(np.linspace(10.0, 40.0, 13) * um)
-    truth = calib.predict(pairwise_circle.weighted_pairwise(points, unequal))["pairs"]
+    unequal = pairwise.weights(np.linspace(10.0, 40.0, 13) * um)
+    truth = calib.predict(pairwise.weighted_pairwise(points, unequal))["pairs"]
     assert np.abs(truth).max() == pytest.approx((unequal.max() - unequal.min()) * 4.0**2, rel=1e-9)
-    assert np.abs(calib.predict(pairwise_circle.weighted_pairwise(points, np.full(13, 1 / 13)))["pairs"]).max() < 1e-12
-    assert np.abs(calib.predict(pairwise_circle.repaired_pairwise(points, unequal))["pairs"]).max() < 1e-12
+    assert np.abs(calib.predict(pairwise.weighted_pairwise(points, np.full(13, 1 / 13)))["pairs"]).max() < 1e-12
+    assert np.abs(calib.predict(pairwise.repaired_pairwise(points, unequal))["pairs"]).max() < 1e-12
 
 
 def test_equation_14_displaces_the_centre_of_an_exact_circle_and_its_repair_does_not():
     points = circle_points(radius=4.0)
-    unequal = pairwise_circle.weights(np.linspace(10.0, 40.0, 13) * um)
-    printed = calib.solve(pairwise_circle.weighted_pairwise(points, unequal))
-    repaired = calib.solve(pairwise_circle.repaired_pairwise(points, unequal))
+    unequal = pairwise.weights(np.linspace(10.0, 40.0, 13) * um)
+    printed = calib.solve(pairwise.weighted_pairwise(points, unequal))
+    repaired = calib.solve(pairwise.repaired_pairwise(points, unequal))
     assert np.linalg.norm(printed["centre"] - CENTRE) > 0.5
     assert np.linalg.norm(repaired["centre"] - CENTRE) < 1e-10
 
@@ -168,16 +169,16 @@ def test_equal_weights_make_the_repaired_objective_the_orthogonal_fit():
     """With radial and axial equally weighed the two differ by the axial part of the distance only: axial^2/(2 R)."""
     points = circle_points(noise=5.0 * um)
     orthogonal = calib.solve(circle.declare(points, 5.0 * um))
-    repaired = calib.solve(pairwise_circle.repaired_pairwise(points, np.full(13, 1 / 13)))
+    repaired = calib.solve(pairwise.repaired_pairwise(points, np.full(13, 1 / 13)))
     assert np.linalg.norm(orthogonal["centre"] - repaired["centre"]) < 5.0 * (5.0 * um) ** 2 / (2 * 0.1)
 
 
 def test_the_weights_of_equations_10_to_13_have_one_solution_and_it_is_the_inverse_square():
     u = np.array([10.0, 20.0, 40.0]) * um
-    estimate = calib.solve(pairwise_circle.weight_problem(u))
-    assert np.allclose(estimate["weight"], pairwise_circle.weights(u), atol=1e-12)
-    assert np.allclose(pairwise_circle.weights(u), np.array([16.0, 4.0, 1.0]) / 21.0)
-    assert np.argmin(pairwise_circle.weights(u) * u) == 2      # u_c of equation 10 is smallest at the worst point
+    estimate = calib.solve(pairwise.weight_problem(u))
+    assert np.allclose(estimate["weight"], pairwise.weights(u), atol=1e-12)
+    assert np.allclose(pairwise.weights(u), np.array([16.0, 4.0, 1.0]) / 21.0)
+    assert np.argmin(pairwise.weights(u) * u) == 2      # u_c of equation 10 is smallest at the worst point
 
 
 def test_the_example_job_is_read_and_solved(tmp_path):

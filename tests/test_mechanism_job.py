@@ -12,7 +12,7 @@ from calib.job import Job
 from calib.mechanism import table, tabulated
 from calib.mechanism.identified import identified
 from problems import mechanism, serial_arm
-from problems.mechanism_example import STAND, TRUTH
+from problems.mechanism.stand import STAND, TRUTH
 
 FILES = mechanism.example_job(4)
 

@@ -7,7 +7,8 @@ import pytest
 import calib
 from calib.units import arcsec, degree, mm, um
 from instruments import laser_tracker
-from problems import circle, pairwise_circle
+from problems import circle
+from problems.circle import pairwise
 
 COMMAND = np.arange(12) * 30.0 * degree
 TRACKER = laser_tracker.from_coordinate_statement(15.0 * um, 6e-6)      # the U of section 2.2, k = 2
@@ -19,7 +20,7 @@ def level_circle(radius, distance, count=12):
 
 
 def weights_by_distance(points):
-    return pairwise_circle.weights(TRACKER.at(laser_tracker.polar_readings(points))[:, 0])
+    return pairwise.weights(TRACKER.at(laser_tracker.polar_readings(points))[:, 0])
 
 
 def angle_errors(points, centre):
@@ -35,7 +36,7 @@ def test_equation_3_is_a_plane_in_the_centre_not_a_sphere():
 
 def test_a_centre_50_mm_up_the_axis_satisfies_equations_5_and_7_as_well():
     points = level_circle(0.1, 3.0)
-    problem = pairwise_circle.pairwise(points)
+    problem = pairwise.pairwise(points)
     seen = calib.predict(problem, {"centre": [3.0, 0.0, -0.35]})
     assert np.abs(seen["pairs"]).max() < 1e-15 and np.abs(seen["plane"]).max() < 1e-15
 
@@ -46,7 +47,7 @@ def test_equation_8_counts_10_um_radially_22_times_and_axially_12_times():
     for direction in ([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]):
         points = level_circle(0.1, 3.0)
         points[0] += 10.0 * um * np.array(direction)
-        problem = pairwise_circle.pairwise(points)
+        problem = pairwise.pairwise(points)
         seen = calib.predict(problem, {"centre": centre, "plane": plane})
         found.append(2.0 * np.sum(seen["pairs"] ** 2) + 12.0 * np.sum(seen["plane"] ** 2))
     assert found == pytest.approx([22.0 * (10 * um) ** 2, 12.0 * (10 * um) ** 2], rel=1e-6)
@@ -71,7 +72,7 @@ def test_weights_from_ten_repeats_differ_2_4_times_by_chance_alone():
 
 def test_the_weights_do_not_minimise_the_sum_that_the_text_names():
     u = np.array([10.0, 20.0, 40.0])
-    weights = pairwise_circle.weights(u)
+    weights = pairwise.weights(u)
     assert np.allclose(weights * u, np.array([160.0, 80.0, 40.0]) / 21.0)       # 7.6, 3.8, 1.9: worst point, least u
     assert np.sum(weights * u) == pytest.approx(40.0 / 3.0)
     assert np.sum(np.array([1.0, 0.0, 0.0]) * u) == 10.0
@@ -88,9 +89,9 @@ def test_equation_14_is_429_square_metres_squared_at_the_truth_of_a_large_table(
     points = level_circle(4.0, 5.0)
     weights = weights_by_distance(points)
     assert weights.max() / weights.min() == pytest.approx(10.35, abs=0.01)
-    at_truth = calib.predict(pairwise_circle.weighted_pairwise(points, weights), {"centre": [5.0, 0.0, -0.4]})
+    at_truth = calib.predict(pairwise.weighted_pairwise(points, weights), {"centre": [5.0, 0.0, -0.4]})
     assert 2.0 * np.sum(at_truth["pairs"] ** 2) == pytest.approx(429.0, abs=0.1)
-    estimate = calib.solve(pairwise_circle.weighted_pairwise(points, weights))
+    estimate = calib.solve(pairwise.weighted_pairwise(points, weights))
     assert np.allclose(estimate["centre"], [5.0 - 2.0596, 0.0, -0.4], atol=1e-4)
     assert np.abs(angle_errors(points, estimate["centre"])).max() / degree == pytest.approx(30.99, abs=0.01)
 
@@ -99,11 +100,11 @@ def test_equation_14_ruins_a_small_table_too_so_table_1_was_not_made_with_it():
     """200 mm radius, 3 m away: weights differ by 15 %, the centre by 7.2 mm, an angle by 2 degrees; table 1: 0.05."""
     points = level_circle(0.2, 3.0)
     weights = weights_by_distance(points)
-    estimate = calib.solve(pairwise_circle.weighted_pairwise(points, weights))
+    estimate = calib.solve(pairwise.weighted_pairwise(points, weights))
     assert weights.max() / weights.min() == pytest.approx(1.154, abs=0.001)
     assert estimate["centre"][0] - 3.0 == pytest.approx(-7.17 * mm, abs=0.01 * mm)
     assert np.abs(angle_errors(points, estimate["centre"])).max() / arcsec == pytest.approx(7394.0, abs=1.0)
-    repaired = calib.solve(pairwise_circle.repaired_pairwise(points, weights))
+    repaired = calib.solve(pairwise.repaired_pairwise(points, weights))
     assert np.abs(angle_errors(points, repaired["centre"])).max() < 1e-9
 
 
@@ -113,11 +114,11 @@ def test_the_answer_of_equation_14_depends_on_the_unit_of_length():
     outward = np.cos(COMMAND)[:, None] * first + np.sin(COMMAND)[:, None] * second
     points = np.array([2.0, 0.0, 0.0]) + 0.2 * outward
     points = points + np.random.default_rng(1).normal(0.0, 20.0 * um, points.shape)
-    weights = pairwise_circle.weights(np.linspace(10.0, 12.0, 12))
-    in_metres, in_millimetres = (calib.solve(pairwise_circle.weighted_pairwise(points * k, weights))["centre"] / k
+    weights = pairwise.weights(np.linspace(10.0, 12.0, 12))
+    in_metres, in_millimetres = (calib.solve(pairwise.weighted_pairwise(points * k, weights))["centre"] / k
                                  for k in (1.0, 1000.0))
     assert np.linalg.norm(in_metres - in_millimetres) > 30.0 * um
-    repaired = [calib.solve(pairwise_circle.repaired_pairwise(points * k, weights))["centre"] / k
+    repaired = [calib.solve(pairwise.repaired_pairwise(points * k, weights))["centre"] / k
                 for k in (1.0, 1000.0)]
     assert np.linalg.norm(repaired[0] - repaired[1]) < 1e-9
 

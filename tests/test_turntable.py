@@ -12,7 +12,8 @@ from calib.job import Job
 from calib.table import shipped
 from calib.units import arcsec, degree, mm, ppm, um
 from instruments import laser_tracker
-from problems import circle, turntable, turntable_paper
+from problems import circle, turntable
+from problems.turntable import paper
 
 EXAMPLE = turntable.example(7)
 SIZES = {"arcsec": 20.0 * arcsec, "ppm": 60.0 * ppm, "um": 40.0 * um, "ppm/K": 60.0 * ppm, "um/K": 60.0 * um,
@@ -114,7 +115,7 @@ def exact_points(command):
 def test_the_papers_procedure_gives_the_turned_angles_and_no_axial_part_on_exact_points():
     command = np.arange(12) * 30.0 * degree
     points, _ = exact_points(command)
-    angles = calib.solve(turntable_paper.declare(points))["angles"]
+    angles = calib.solve(paper.declare(points))["angles"]
     sense = np.sign(angles[1, 0])
     assert np.allclose(np.mod(sense * angles[:, 0] + 1e-9, 2 * np.pi), command + 1e-9, atol=1e-8)
     assert np.abs(angles[:, 1]).max() < 1e-9 and np.allclose(angles[:, 2], 0.1)
@@ -126,7 +127,7 @@ def test_an_axial_displacement_leaves_the_angle_turned_but_not_the_angle_between
     points, normal = exact_points(command)
     centre = np.array([1.5, 0.4, -0.2])
     points[6] += 10.0 * um * normal
-    seen = turntable_paper.angles_in_table(ca.DM(points[6]), ca.DM(points[0]), ca.DM(centre), ca.DM(normal))
+    seen = paper.angles_in_table(ca.DM(points[6]), ca.DM(points[0]), ca.DM(centre), ca.DM(normal))
     between = np.arccos((points[6] - centre) @ (points[0] - centre) / np.prod(
         [np.linalg.norm(points[k] - centre) for k in (0, 6)]))
     assert abs(abs(float(seen[0])) - np.pi) < 1e-9

@@ -6,7 +6,7 @@ affine in z = (a, b, c) with b = -B / L, c = (|B|^2 - L^2) a and the one conditi
 where the points lie in a plane (the height is free). On an interval of a the bracket is bounded, and a weighted linear
 adjustment gives a lower bound: intervals with a bound above F are dropped, the others halved. What is left is a
 narrow neighbourhood; once F is convex there wherever it is no worse, a stationary candidate is the minimum.
-Source: own; the affine form is that of `problems.algebraic_base_point`.
+Source: own; the affine form is that of `problems.base_point.algebraic`.
 """
 
 from __future__ import annotations

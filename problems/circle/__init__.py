@@ -2,7 +2,7 @@
 
 Every point has its foot on the circle, whose angle is an unknown of its own (errors in variables): the residual is the
 whole vector from the foot to the point, weighed by the 3x3 covariance of that point.
-Source: Forbes 1989, NPL report DITC 140/89, least-squares best-fit geometric elements; `problems.pairwise_circle` holds
+Source: Forbes 1989, NPL report DITC 140/89, least-squares best-fit geometric elements; `problems.circle.pairwise` holds
 the objectives of Li, Cao, Qu 2020 for the same circle.
 """
 
@@ -34,8 +34,9 @@ from calib.geometry import cross, dot, unit
 from calib.scene import Points, Scene, Track
 from calib.units import arcsec, degree, hour, minute, mm, um
 from instruments import influence, laser_tracker
-from problems import algebraic_circle, circle_formulations, measured_points
-from problems.algebraic_circle import SpaceCircle
+from problems import measured_points
+from problems.circle import algebraic, alternatives
+from problems.circle.algebraic import SpaceCircle
 from problems.recorded import recorded
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
 
 def start(points: ArrayLike, command: ArrayLike | None = None) -> SpaceCircle:
     """An algebraic start (Pratt) for the circle through points (n, 3) [m]; command: (n,) [rad] angles as commanded."""
-    return algebraic_circle.space_circle(points, algebraic_circle.pratt, command)
+    return algebraic.space_circle(points, algebraic.pratt, command)
 
 
 def declare(points: ArrayLike, u: ArrayLike | Gaussian, command: ArrayLike | None = None,
@@ -107,7 +108,7 @@ def declare(points: ArrayLike, u: ArrayLike | Gaussian, command: ArrayLike | Non
     block, each (n,), which bring their effects. Every effect is attached, zero and held.
     Raises InputError for fewer than three points, points at one position or on a line.
     """
-    points = algebraic_circle.checked(points)
+    points = algebraic.checked(points)
     begin = start(points, command) if begin is None else begin
     n = len(points)
     centre = Unknown("centre", begin.centre, unit="mm", parts=("x", "y", "z"))
@@ -149,7 +150,7 @@ def formulations(job: Job) -> dict[str, Formulation]:
     Weights by equations 9 to 13, from the stated covariance of each point.
     """
     table = job.table("points")
-    return circle_formulations.formulations(table.number("command", "angle") if table.has("command") else None)
+    return alternatives.formulations(table.number("command", "angle") if table.has("command") else None)
 
 
 def example_points(seed: int) -> tuple[Array, Array]:

@@ -305,5 +305,5 @@ def scene(job: Job, estimate: Estimate) -> Scene:
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job with simulated readings of a tracker, a ball bar and two levels: {file name: text}. seed: of the
     errors."""
-    from problems.mechanism_example import job_files
+    from problems.mechanism.stand import job_files
     return job_files(seed)

@@ -13,7 +13,7 @@ import numpy as np
 from calib.table import Table
 from calib.units import arcsec, degree, hour, minute, mm, ppm, um
 from problems import positioning
-from problems.turntable_tables import RADIUS, U_POLYGON, Methods, growth_of, harmonics_of, tracker_angles
+from problems.turntable.tables import RADIUS, U_POLYGON, Methods, growth_of, harmonics_of, tracker_angles
 
 SINGLE = ("angle_scale (theta)", "drift (reading)", "slip (reading)")
 

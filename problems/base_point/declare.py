@@ -1,10 +1,6 @@
-"""Base point of a tracking interferometer from readings along lines ("multilateration").
+"""The physics of a tracking interferometer at an unknown base point, and its declaration from readings along lines.
 
-A tracking interferometer at an unknown base point B follows a reflector to target points P and reads how much longer,
-or shorter, the path has become since it was zeroed: reading = sense (|P - B| - L0). The reflector is moved along lines
-and its coordinate there is read by a fixed interferometer. Unknown are B (3) and the length L0 at the zero.
-Source: Chen, Li, Zhang, Zhao, J. Astronautic Metrology and Measurement 27(2), 2007, 9-13 ("the paper"), equations 1
-and 6 with their signs mended (docs/slips/base_point.md).
+Source: Chen, Li, Zhang, Zhao, J. Astronautic Metrology and Measurement 27(2), 2007, 9-13 ("the paper").
 """
 
 from __future__ import annotations
@@ -28,22 +24,17 @@ from calib import (
     Unknown,
     direct,
     hands_slots_to,
-    simulate,
 )
 from calib.errors import InputError
 from calib.geometry import dot, norm
-from calib.job import Job
-from calib.units import mm, nm, um
+from calib.units import nm, um
 from calib.unknown import Selection
-from calib.workflow.compare.formulation import Formulation
 from instruments import coordinate_machine, influence, interferometer
-from problems import algebraic_base_point, base_point_bound, base_point_lines
-from problems.base_point_lines import Array, Lines
+from problems.base_point import algebraic
+from problems.base_point.lines import Array, Lines
 
-scene = base_point_lines.scene
 LENGTHENING, SHORTENING = 1.0, -1.0                    # the counting sense: what makes the reading grow
 COUNTS = {"lengthening": LENGTHENING, "shortening": SHORTENING}
-accepts = ("base_point", "base-point", "basepoint_multilateration")
 
 
 # --- the physics -------------------------------------------------------------------------------------------------
@@ -231,7 +222,7 @@ def start(lines: Lines, tracker: NDArray, zeroing: NDArray, sense: float, begin:
     for t in range(len(bases)):
         i = np.flatnonzero(tracker == t)
         own, number = np.unique(zeroing[i], return_inverse=True)
-        found = algebraic_base_point.begin(lines.points[i], lines.readings[i], number, sense, absolute=absolute,
+        found = algebraic.begin(lines.points[i], lines.readings[i], number, sense, absolute=absolute,
                                            approximate=None if known is None else known[t],
                                            name=str(lines.tracker[i][0]))
         bases[t], lengths[own] = found.base_point, found.lengths
@@ -254,7 +245,21 @@ def declare_one_line(travel: ArrayLike, readings: ArrayLike | None, u: ArrayLike
                                                 parts=("foot", "off"))], name="base point beside one line")
 
 
-# --- effects, jobs and an example -------------------------------------------------------------------------------------
+def linear(lines: Lines, sense: float, about: Problem) -> Problem:
+    """The difference of squares of one tracker since one zeroing; about: the declared problem, for the weights."""
+    change = sense * lines.readings
+    path = np.linalg.norm(lines.points - about.select("base_point").unknown.ambient[0], axis=1)
+    base_point = Unknown("base_point", [0.0, 0.0, 0.0], "mm", ("x", "y", "z"))
+    start_length, bracket = Unknown("start_length", 0.0, "mm"), Unknown("bracket", 0.0, "mm^2")
+    squares = Observations(difference_of_squares, base_point, start_length, bracket, lines.points, change, unit="mm^2",
+                           readings=np.sum(lines.points**2, axis=1) - change**2, u=2 * path * lines.u, group="squares",
+                           rows=lines.rows)
+    flat = [axis for axis, extent in zip(base_point.parts, np.ptp(lines.points, axis=0), strict=True) if extent == 0.0]
+    return Problem([squares], quantities=[Quantity("dead_path", coordinate, start_length, unit="mm")],
+                   held=[base_point.part(*flat)] if flat else [], name="base point by differences of squares")
+
+
+# --- effects ----------------------------------------------------------------------------------------------------
 
 
 def effects(blocks: Sequence[int] = (), middle: ArrayLike = (0.0, 0.0, 0.0), half_range: ArrayLike = (0.5, 0.5, 0.5),
@@ -277,123 +282,3 @@ def with_recorded_effects(problem: Problem, lines: Lines, middle: ArrayLike, hal
         offered.append(influence.offset("start_offset", "displacement", "o", "um", (0.2 * um, 100 * um), channel="d",
                                         source=interferometer.TRACKING))
     return problem.with_effects(*problem.acting(offered))
-
-
-def from_job(job: Job) -> Problem:
-    """The problem of a job with the table `lines`, or of a case folder of the scenario `basepoint_multilateration`.
-
-    Instrument of the table: kind tracking_interferometer, u, counts ("lengthening" or "shortening"). Options:
-    start_reading ("free", "tied", "absolute"), start_point (3,), base_point (3,) where it is about known, coordinates
-    ("exact", "projected", "adjusted"), line_instrument (the name of the instrument that read the coordinates).
-    Raises InputError naming file, line, key or column.
-    """
-    if "lines" in job.known:
-        lines, known = base_point_lines.of_case(job), job.known
-        limits = np.array([known.table("axis_range_mm").numbers(axis) for axis in base_point_lines.AXES]) * mm
-        about = known.quantity("base_point_approx", "length")
-        problem = declare(lines, FreeStart(), ProjectedCoordinates(), begin=about)
-        wavelength = known.quantity("wavelength", "length")
-        return with_recorded_effects(problem, lines, limits.mean(axis=1), np.ptp(limits, axis=1) / 2, wavelength)
-    lines, tracker, options = base_point_lines.of_job(job), job.instrument("lines"), job.options
-    tracker.text("kind", "tracking_interferometer", ("tracking_interferometer",))
-    sense = COUNTS[tracker.text("counts", among=tuple(COUNTS))]
-    zeros = _zeros(job)
-    choice = options.text("coordinates", "exact", tuple(COORDINATES))
-    if choice != "exact" and not np.all(lines.u_coordinate > 0):
-        raise InputError(f"{options.where('coordinates')}: '{choice}' needs the uncertainty of the coordinates; name "
-                         "the instrument that read them in options.line_instrument, with its u, and add column line")
-    problem = declare(lines, zeros[options.text("start_reading", "free", tuple(zeros))], COORDINATES[choice], sense,
-                      options.quantity("base_point", "length", None))
-    middle, half = (lines.points.max(axis=0) + lines.points.min(axis=0)) / 2, np.ptp(lines.points, axis=0) / 2
-    return with_recorded_effects(problem, lines, middle, np.where(half > 0, half, 1.0))
-
-
-def _zeros(job: Job) -> dict[str, Zero]:
-    """What the option start_reading can say; without start_point a tied start was zeroed at the origin."""
-    known = job.options.quantity("start_point", "length", None)
-    zero_point = None if known is None else (float(known[0]), float(known[1]), float(known[2]))
-    return {"free": FreeStart(zero_point), "tied": TiedStart(zero_point or (0.0, 0.0, 0.0)),
-            "absolute": AbsoluteRange()}
-
-
-def formulations(job: Job) -> dict[str, Formulation]:
-    """Other ways to put the same readings: start free or tied, and, for one tracker, the linear difference of squares.
-
-    The linear one leaves out that its bracket is |B|^2 - L0^2, and takes the readings on its left side as exact; a
-    coordinate in which the targets do not differ is held at zero there. The global one proves a bound.
-    """
-    problem = from_job(job)
-    found: dict[str, Formulation] = {"start free": problem}
-    if "lines" in job.known:
-        lines, sense = base_point_lines.of_case(job), LENGTHENING
-    else:
-        lines, sense = base_point_lines.of_job(job), COUNTS[job.instrument("lines").text("counts", among=tuple(COUNTS))]
-        found = {f"start {name}": declare(lines, zero, sense=sense) for name, zero in _zeros(job).items()
-                 if name != "absolute"}
-        if np.all(lines.u_coordinate > 0):           # errors in variables beside ordinary least squares
-            zero = _zeros(job)[job.options.text("start_reading", "free")]
-            found |= {f"coordinates {name}": declare(lines, zero, one, sense) for name, one in COORDINATES.items()}
-    if len(np.unique(lines.tracker)) == len(np.unique(lines.zeroing)) == 1:
-        found["difference of squares"] = linear(lines, sense, problem)
-    return {**found, "global bound": base_point_bound.of_readings(lines, sense)}
-
-
-def linear(lines: Lines, sense: float, about: Problem) -> Problem:
-    """The difference of squares of one tracker since one zeroing; about: the declared problem, for the weights."""
-    change = sense * lines.readings
-    path = np.linalg.norm(lines.points - about.select("base_point").unknown.ambient[0], axis=1)
-    base_point = Unknown("base_point", [0.0, 0.0, 0.0], "mm", ("x", "y", "z"))
-    start_length, bracket = Unknown("start_length", 0.0, "mm"), Unknown("bracket", 0.0, "mm^2")
-    squares = Observations(difference_of_squares, base_point, start_length, bracket, lines.points, change, unit="mm^2",
-                           readings=np.sum(lines.points**2, axis=1) - change**2, u=2 * path * lines.u, group="squares",
-                           rows=lines.rows)
-    flat = [axis for axis, extent in zip(base_point.parts, np.ptp(lines.points, axis=0), strict=True) if extent == 0.0]
-    return Problem([squares], quantities=[Quantity("dead_path", coordinate, start_length, unit="mm")],
-                   held=[base_point.part(*flat)] if flat else [], name="base point by differences of squares")
-
-
-def remarks(job: Job) -> tuple[str, ...]:
-    """What no reading of a job can show of the base points, in words; empty where all is seen."""
-    return algebraic_base_point.unseen(base_point_lines.coordinates(next(iter(job.tables.values()))))
-
-
-def example(seed: int) -> Problem:
-    """One tracker on three lines of a machine, with simulated readings and all effects held; seed: of the noise."""
-    run, zero, far = np.linspace(0.0, 0.8, 9), np.zeros(9), np.full(9, 0.8)
-    there = np.vstack([np.column_stack(line) for line in ((run, zero, zero), (far, run, zero), (far, zero, run))])
-    points, along = np.vstack([there, there[::-1]]), np.repeat(np.eye(3), 9, axis=0)
-    along, minutes, forth = np.vstack([along, along[::-1]]), np.arange(len(points)), np.repeat([1.0, -1.0], len(there))
-    lines = Lines(points, None, 0.5 * um, along, 0.2 * um, velocity=along * forth[:, None] * 4 * mm, covariates={
-        "time": (60.0 * minutes, "s"), "temperature_difference": (0.3 * np.sin(minutes / 9.0), "K"),
-        "block": 1 + minutes // 9, "abbe_x": (0.1 + 0.1 * along[:, 1], "m"), "abbe_y": (0.07 + 0.1 * along[:, 2], "m"),
-        **base_point_lines.directions(forth, along)})
-    plan = declare(lines, FreeStart((0.0, 0.0, 0.0)), ProjectedCoordinates(), begin=(-0.2, 1.4, -0.3))
-    return with_recorded_effects(simulate(plan, None, seed), lines, np.full(3, 0.4), np.full(3, 0.4))
-
-
-def example_job(seed: int) -> dict[str, str]:
-    """A runnable job {file name: text}: two perpendicular lines, readings that grow when the path shortens."""
-    run, zero, far = np.linspace(0.05, 0.75, 15), np.zeros(15), np.full(15, 0.75)
-    points = np.vstack([np.column_stack((run, zero, zero)), np.column_stack((far, run, zero))])
-    plan = declare(Lines(points, None, 0.5 * um), TiedStart(), sense=SHORTENING, begin=(-0.2, 1.4, -0.23))
-    readings = np.asarray(simulate(plan, None, seed).observations[0].readings, float).ravel()
-    rows = [f"{n},{'XY'[n > 15]},{x / mm:.4f},{y / mm:.4f},{z / mm:.4f},{d / mm:.4f}"
-            for n, ((x, y, z), d) in enumerate(zip(points, readings, strict=True), start=1)]
-    return {"lines.csv": "\n".join(["# source: simulated", "row,line,x_mm,y_mm,z_mm,d_mm", *rows, ""]),
-            "job.toml": EXAMPLE_JOB}
-
-
-EXAMPLE_JOB = """problem = "problems.base_point"
-[data.lines]
-file = "lines.csv"
-instrument = "tracker"
-[instruments.tracker]
-kind = "tracking_interferometer"
-u = "0.5 um"
-counts = "shortening"
-[options]
-start_reading = "free"
-start_point_mm = [0.0, 0.0, 0.0]
-[report]
-quantities = ["base_point", "dead_path", "start_reading"]
-"""

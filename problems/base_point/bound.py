@@ -16,8 +16,8 @@ from calib.solve.globally import ranges
 from calib.solve.globally.bound import Bound, best
 from calib.solve.globally.increments import bisection_bound
 from calib.workflow.compare.formulation import Global
-from problems.algebraic_base_point import Span
-from problems.base_point_lines import Lines
+from problems.base_point.algebraic import Span
+from problems.base_point.lines import Lines
 
 
 def of_readings(lines: Lines, sense: float) -> Global:

@@ -15,7 +15,7 @@ from calib.errors import InputError
 from calib.job import Job
 from calib.scene import Points, Scene, Sights
 from calib.table import Table
-from problems.algebraic_base_point import Span
+from problems.base_point.algebraic import Span
 from problems.recorded import recorded
 
 Array = NDArray[np.float64]
@@ -78,7 +78,7 @@ def directions(direction: ArrayLike, along: Array) -> dict[str, Array]:
     return {f"direction_{axis}": np.asarray(direction) * along[:, a] for a, axis in enumerate(AXES)}
 
 
-def of_job(job: Job) -> Lines:
+def lines_of_job(job: Job) -> Lines:
     """The table `lines` of a job: columns x, y, z, d; line, tracker, zeroing, block, direction, time, temperature.
 
     Raises InputError naming file, line, key or column.
@@ -100,7 +100,7 @@ def of_job(job: Job) -> Lines:
                  zeroing=table.text("zeroing") if table.has("zeroing") else "", rows=table.row_numbers)
 
 
-def of_case(job: Job) -> Lines:
+def lines_of_case(job: Job) -> Lines:
     """A case folder of the scenario `basepoint_multilateration`: a line of kind "fine" has a zeroing of its own.
 
     Raises InputError naming file, line, key or column.
@@ -147,7 +147,7 @@ def scene(job: Job, estimate: Estimate) -> Scene:
 
     job: of the readings; estimate: of its problem. Returns the scene in the machine's axes.
     """
-    lines = of_case(job) if "lines" in job.known else of_job(job)
+    lines = lines_of_case(job) if "lines" in job.known else lines_of_job(job)
     base = points_of(estimate.fit, estimate.problem.select("base_point").unknown)
     keys = np.unique(lines.tracker).tolist()
     seen = [Sights(str(key), base.places[i], lines.points[lines.tracker == key]) for i, key in enumerate(keys)]

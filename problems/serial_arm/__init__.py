@@ -33,7 +33,7 @@ from calib.mechanism.resolved import quantity
 from calib.mechanism.scene import axes_of
 from calib.scene import Points, Scene
 from calib.units import degree, mm
-from problems.serial_arm_example import (
+from problems.serial_arm.example import (
     example,
     example_arm,
     example_job,
@@ -42,7 +42,7 @@ from problems.serial_arm_example import (
     reaching,
     simulated,
 )
-from problems.serial_arm_model import (
+from problems.serial_arm.model import (
     KNEE,
     Arm,
     Tolerances,

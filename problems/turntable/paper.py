@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 
 from calib import Problem, Quantity, Shared
 from calib.geometry import Transform, matrix, norm, product
-from problems import pairwise_circle
-from problems.circle import in_plane
+from problems.circle import in_plane, pairwise
 
 
 def table_frame(centre: Any, normal: Any, first: Any) -> Transform:
@@ -44,8 +43,8 @@ def declare(points: ArrayLike, weights: ArrayLike | None = None) -> Problem:
     points: (n, 3) [m]; weights: (n,) of equations 9 to 13, or None. Quantity `angles`: turned, axial, distance.
     """
     points = np.asarray(points, float)
-    problem = (pairwise_circle.pairwise(points) if weights is None
-               else pairwise_circle.weighted_pairwise(points, weights))
+    problem = (pairwise.pairwise(points) if weights is None
+               else pairwise.weighted_pairwise(points, weights))
     centre, plane = (problem.select(name).unknown for name in ("centre", "plane"))
 
     def angles(point: Any, first: Any, centre: Any, plane: Any) -> Any:

@@ -33,10 +33,10 @@ from calib.job import MEASUREMENTS
 from calib.scene import Points, Scene, Sights
 from calib.units import arcsec, degree, minute, mm, um
 from instruments import laser_tracker
-from problems import algebraic_circle, measured_points
-from problems.circle import in_plane
+from problems import measured_points
+from problems.circle import algebraic, in_plane
 from problems.recorded import recorded
-from problems.turntable_effects import table_effects, tracker_effects
+from problems.turntable.effects import table_effects, tracker_effects
 
 if TYPE_CHECKING:
     from calib.job import Job
@@ -101,7 +101,7 @@ def start(command: ArrayLike, points: ArrayLike, reflectors: ArrayLike, axis: Ar
     for name in dict.fromkeys(names.tolist()):
         mine = names == name
         try:
-            circles.append(algebraic_circle.space_circle(points[mine], command=command[mine], axis=axis))
+            circles.append(algebraic.space_circle(points[mine], command=command[mine], axis=axis))
         except InputError as error:
             raise InputError(f"reflector {name}: {error}") from None
         direction, reference = circles[0].normal, circles[0].reference
@@ -257,10 +257,10 @@ published = "turntable"
 
 
 def reproduce() -> Reproduction:
-    """Every printed number of the paper beside what its own tables give: see `problems.turntable_published`."""
-    from problems import turntable_published
+    """Every printed number of the paper beside what its own tables give: see `problems.turntable.comparison`."""
+    from problems.turntable import comparison
 
-    return turntable_published.reproduce()
+    return comparison.reproduce()
 
 
 def scene(job: Job, estimate: Estimate) -> Scene:

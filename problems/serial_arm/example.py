@@ -10,7 +10,7 @@ import numpy as np
 from calib import Observations, Problem, Unknown, linearise, simulate
 from calib.mechanism import observe, urdf
 from calib.units import mm, mrad
-from problems.serial_arm_model import Arm, Tolerances, arm_from_urdf, declare, effects
+from problems.serial_arm.model import Arm, Tolerances, arm_from_urdf, declare, effects
 
 _EXAMPLE_LINKS = ((0.0, 0.0, 0.0, 0.30, "0 0 1", 80), (-np.pi / 2, 0.0, 0.0, 0.0, "0 0 1", 80),
                   (np.pi / 2, 0.0, -0.32, 0.0, "0 0 1", 80), (np.pi / 2, 0.08, 0.0, 0.0, "0 0 1", 80),

@@ -17,7 +17,7 @@ from calib.errors import InputError
 from calib.solve.globally.bound import Bound
 from calib.solve.globally.spheres import eigenvalue
 from calib.workflow.compare.formulation import ClosedForm, Formulation, Global, Redeclared, Values
-from problems import algebraic_circle, pairwise_circle
+from problems.circle import algebraic, pairwise
 
 Array = NDArray[np.float64]
 EVEN = 0.02      # departure of the steps from their mean, as a share, up to which positions count as evenly spread
@@ -26,14 +26,14 @@ EVEN = 0.02      # departure of the steps from their mean, as a share, up to whi
 def formulations(command: Array | None) -> dict[str, Formulation]:
     """The formulations of a space circle; command: (n,) [rad] commanded angles, where they are known."""
     return {
-        "equation 8": Redeclared(lambda declared: pairwise_circle.pairwise(points_of(declared)), PAPER),
-        "equation 14": Redeclared(lambda declared: pairwise_circle.weighted_pairwise(
+        "equation 8": Redeclared(lambda declared: pairwise.pairwise(points_of(declared)), PAPER),
+        "equation 14": Redeclared(lambda declared: pairwise.weighted_pairwise(
             points_of(declared), weights_of(declared)), PAPER),
-        "equation 14 repaired": Redeclared(lambda declared: pairwise_circle.repaired_pairwise(
+        "equation 14 repaired": Redeclared(lambda declared: pairwise.repaired_pairwise(
             points_of(declared), weights_of(declared)), PAPER),
-        "Kasa": ClosedForm(algebraic(algebraic_circle.kasa, command), "Kasa 1976"),
-        "Pratt": ClosedForm(algebraic(algebraic_circle.pratt, command), "Pratt 1987"),
-        "Taubin": ClosedForm(algebraic(algebraic_circle.taubin, command), "Taubin 1991"),
+        "Kasa": ClosedForm(fitted(algebraic.kasa, command), "Kasa 1976"),
+        "Pratt": ClosedForm(fitted(algebraic.pratt, command), "Pratt 1987"),
+        "Taubin": ClosedForm(fitted(algebraic.taubin, command), "Taubin 1991"),
         "bisecting planes": ClosedForm(bisecting_planes, "Pan and Li, vector method"),
         "mean of positions": ClosedForm(lambda declared: mean_of_positions(declared, command), "five-axis paper"),
         "eigenvalue bound": Global(lambda declared: {}, eigenvalue_bound, "Pratt 1987, as a bound"),
@@ -51,13 +51,13 @@ def points_of(declared: Problem) -> Array:
 def weights_of(declared: Problem) -> Array:
     """The paper's weights (n,), from the stated covariances."""
     seen = declared.observations[0]
-    return pairwise_circle.weights(seen.uncertainty.weighting(seen.n, 3, "points").u)
+    return pairwise.weights(seen.uncertainty.weighting(seen.n, 3, "points").u)
 
 
-def algebraic(fit: Callable[[Array], Array], command: Array | None) -> Callable[[Problem], Values]:
+def fitted(fit: Callable[[Array], Array], command: Array | None) -> Callable[[Problem], Values]:
     """Centre, normal and radius by an algebraic fit in the plane of least squares."""
     def values(declared: Problem) -> Values:
-        found = algebraic_circle.space_circle(points_of(declared), fit, command)
+        found = algebraic.space_circle(points_of(declared), fit, command)
         return {"centre": found.centre, "normal": found.normal, "radius": found.radius}
     return values
 

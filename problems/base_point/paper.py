@@ -29,10 +29,10 @@ from calib import (
 from calib.table import shipped
 from calib.units import degree, mm, um
 from calib.workflow.reproduce import Item, Printed, Reproduction
-from problems import algebraic_base_point, base_point, base_point_layout
-from problems.base_point import LENGTHENING, SHORTENING, FreeStart, TiedStart
+from problems import base_point, base_point_layout
+from problems.base_point import LENGTHENING, SHORTENING, FreeStart, TiedStart, algebraic
+from problems.base_point.lines import Lines
 from problems.base_point_layout import FREE, KNOWN, TIED
-from problems.base_point_lines import Lines
 
 Array = NDArray[np.float64]
 published = "base-point"
@@ -97,7 +97,7 @@ def _experiment_items(printed: dict[str, Printed], tied: Result, free: Result, a
     why = {
         "base_x": "rows 14 and 25 after the digit repairs",
         "base_y": "printed to one decimal only (1.4009e+003)",
-        "base_z": "compared without its sign: " + algebraic_base_point.unseen(experiment("d").points)[0],
+        "base_z": "compared without its sign: " + algebraic.unseen(experiment("d").points)[0],
     }
     items = []
     for axis, key in enumerate(("base_x", "base_y", "base_z")):

@@ -15,8 +15,10 @@ import numpy as np
 from calib.table import Table, shipped
 from calib.units import arcsec, degree, mm, ppm
 from calib.workflow.reproduce import Item, Printed, Reproduction
-from problems import circle, pairwise_circle, turntable_findings
-from problems.turntable_tables import DISTANCE, RADIUS, U_POLYGON, Methods, compare_methods, growth_of
+from problems import circle
+from problems.circle import pairwise
+from problems.turntable import findings
+from problems.turntable.tables import DISTANCE, RADIUS, U_POLYGON, Methods, compare_methods, growth_of
 
 ASSUMED = (f"u assumes the tracker {DISTANCE:g} m away with its stated U = 0.015 mm + 0.006 mm/m L (k = 2) on each "
            f"coordinate, reflectors at {RADIUS['B1'] / mm:g} mm (edge) and {RADIUS['B2'] / mm:g} mm (rod), and u = "
@@ -109,7 +111,7 @@ def setting_items(tables: dict[str, Table], joint: Methods) -> Iterator[Item]:
         if key == "n_equations":
             n = len(joint.command)
             begin = circle.example_points(0)[0]
-            value = float(sum(o.n for o in pairwise_circle.pairwise(begin[:n]).observations))
+            value = float(sum(o.n for o in pairwise.pairwise(begin[:n]).observations))
             printed = Printed(str(text), n * (n - 1) / 2 + n, 0.5, "1", printed.quantity)
             more = {"evaluated_for_N": n, "independent_equations": 2 * n - 1, "printed_text": str(text)}
             why = (f"printed as a formula, evaluated for the N = {n} of table 1. As a count of rows it holds; only N - "
@@ -124,5 +126,5 @@ def reproduce() -> Reproduction:
     joint = compare_methods(tables["T1"])
     items = [*setting_items(tables, joint), *difference_items(tables["T1"], joint),
              *(item for name, table in tables.items() for item in column_items(name, table, joint))]
-    return Reproduction("turntable", tuple(items), turntable_findings.studies(tables, joint),
-                        turntable_findings.figures(tables["T1"]))
+    return Reproduction("turntable", tuple(items), findings.studies(tables, joint),
+                        findings.figures(tables["T1"]))

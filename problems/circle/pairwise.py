@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib import Constraint, Observations, Problem, Quantity, Unknown
 from calib.geometry import dot, norm
-from problems.algebraic_circle import SpaceCircle, checked, space_circle
+from problems.circle.algebraic import SpaceCircle, checked, space_circle
 
 Array = NDArray[np.float64]
 
