@@ -9,6 +9,8 @@ and 6 with their signs mended (docs/slips/base_point.md).
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from calib import Problem, simulate
@@ -39,8 +41,13 @@ from problems.base_point.lines import AXES, Lines, coordinates, directions, line
 
 __all__ = ["COUNTS", "LENGTHENING", "SHORTENING", "AbsoluteRange", "AdjustedCoordinates", "ExactCoordinates",
            "FreeStart", "ProjectedCoordinates", "TiedStart", "accepts", "declare", "declare_one_line", "effects",
-           "example", "example_job", "formulations", "from_job", "remarks", "scene", "with_recorded_effects"]
+           "example", "example_job", "formulations", "from_job", "published", "remarks", "reproduce", "scene",
+           "with_recorded_effects"]
+if TYPE_CHECKING:
+    from calib.workflow.reproduce import Reproduction
+
 accepts = ("base_point", "base-point", "basepoint_multilateration")
+published = "base-point"
 
 
 def from_job(job: Job) -> Problem:
@@ -105,6 +112,13 @@ def formulations(job: Job) -> dict[str, Formulation]:
 def remarks(job: Job) -> tuple[str, ...]:
     """What no reading of a job can show of the base points, in words; empty where all is seen."""
     return algebraic.unseen(coordinates(next(iter(job.tables.values()))))
+
+
+def reproduce() -> Reproduction:
+    """Every printed number of the paper beside what its own tables give: see `problems.base_point.paper`."""
+    from problems.base_point import paper
+
+    return paper.reproduce()
 
 
 def example(seed: int) -> Problem:

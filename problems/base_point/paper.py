@@ -35,7 +35,6 @@ from problems.base_point.lines import Lines
 from problems.base_point_layout import FREE, KNOWN, TIED
 
 Array = NDArray[np.float64]
-published = "base-point"
 
 U_ASSUMED = 1.0 * um
 NOISE_PRINTED, NOISE_NEEDED = 0.1 * um, 1.0 * um
@@ -232,7 +231,7 @@ def reproduce() -> Reproduction:
     tied, free = Result.of("d", TiedStart(ZERO_POINT)), Result.of("d", FreeStart(ZERO_POINT))
     experimental = _experiment_items(printed, tied, free, Result.of("d_printed", TiedStart(ZERO_POINT)))
     items = {item.key: item for item in (*experimental, *_simulation_items(printed), *_layout_items(printed))}
-    return Reproduction(published, tuple(items[key] for key in printed), studies=_studies(free),
+    return Reproduction(base_point.published, tuple(items[key] for key in printed), studies=_studies(free),
                         figures={"Residuals of table 2: start tied, and free": _residuals(tied, free)})
 
 
