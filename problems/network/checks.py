@@ -9,6 +9,7 @@ import numpy as np
 from calib import predict
 from calib.errors import InputError
 from problems.network.declare import declare_free
+from problems.network.frames import MOVES, checked_frames, everywhere, places_taken, unrolled
 from problems.network.lacking import Lacking
 from problems.network.measures import contradicting_unit
 from problems.network.start import positions
@@ -26,12 +27,13 @@ def named(keys: list[str]) -> str:
 def checked(survey: Survey) -> Survey:
     """The survey, with remarks about points, and coordinates of points, that nothing reads.
 
-    Raises InputError where parts of the network are not joined, points have fewer readings than coordinates, or lengths
-    contradict the coordinates by their unit.
+    Raises InputError where parts of the network are not joined, points or frames have fewer readings than unknown
+    coordinates, frames make no sense together, or lengths contradict the coordinates by their unit.
     """
-    survey = _without_unread(survey)
+    survey = _without_unread(_with_frames_read(survey))
     _joined(survey)
     _enough(survey)
+    _frames_read(survey)
     read = survey.read
     unread = [key for key, point in survey.points.items()
               if {ADJUSTED, CONSTRAINED} & {point.plane, point.height} and key not in read]
@@ -40,6 +42,19 @@ def checked(survey: Survey) -> Survey:
             *survey.remarks, f"Point {named(unread)} is to be adjusted and nothing reads it: it has no result. Add "
             "readings to it, or take it out of the list of points."))
     return survey
+
+
+def _with_frames_read(survey: Survey) -> Survey:
+    """The survey without epochs of frames that nothing reads."""
+    if not survey.frames:
+        return survey
+    survey = replace(survey, frames=checked_frames(survey.frames, survey.parts))
+    used = {i for _, inside in places_taken(survey).values() for i in inside}
+    idle = [one.key for i, one in enumerate(survey.frames) if i not in used and one.free]
+    remarks = [f"Frame {named(idle)} is free to move and nothing reads a point of it: it has no result. Add readings, "
+               "or take it out of the frames."] if idle else []
+    return replace(survey, frames=[one for i, one in enumerate(survey.frames) if i in used],
+                   remarks=(*survey.remarks, *remarks))
 
 
 def _without_unread(survey: Survey) -> Survey:
@@ -91,7 +106,23 @@ def _enough(survey: Survey) -> None:
         if count < len(free):
             raise Lacking(f"point '{key}' has {len(free)} unknown coordinates ({', '.join(free)}) and {count} "
                           f"reading{'' if count == 1 else 's'} for them; it lacks {len(free) - count}: read it from "
-                          "another station, or give its coordinates", [key])
+                          "another station, or give its coordinates", everywhere(survey, [key]))
+
+
+def _frames_read(survey: Survey) -> None:
+    """Every frame needs as many readings to its points as it has free numbers."""
+    whole = _readings_of(unrolled(survey)) if survey.frames else {}
+    count = dict.fromkeys(range(len(survey.frames)), 0)
+    members: dict[int, list[str]] = {i: [] for i in count}
+    for name, (_, inside) in places_taken(survey).items():
+        for i in inside:
+            count[i] += whole.get(name, 0)
+            members[i].append(name)
+    for i, one in enumerate(survey.frames):
+        if count[i] < len(one.free):
+            raise Lacking(f"frame '{one.key}' has {len(one.free)} free numbers ({', '.join(one.free)}) and {count[i]} "
+                          f"readings to its points; it lacks {len(one.free) - count[i]}: read more of its points, or "
+                          "hold what does not move", members[i])
 
 
 def _joined(survey: Survey) -> None:
@@ -110,6 +141,11 @@ def _joined(survey: Survey) -> None:
         links += [(0, i) for i in ends[0]] if len(ends) == 1 else []
         for other in ends[1:]:
             links += list(zip(ends[0], other, strict=True))
+    number = {i: len(place) + 1 + i for i in range(len(survey.frames))}
+    for key, inside in places_taken(survey).values():
+        links += [(place[key], number[i]) for i in inside]
+        # A frame that cannot move in every way is tied to the network.
+        links += [(0, number[i]) for i in inside[-1:] if set(survey.frames[i].free) < set(MOVES[parts])]
     instruments = [(s.station, s.target) for s in survey.sightings] + [(r.instrument, r.target) for r in survey.ranging]
     for of, targets in instruments:                        # an instrument joins its targets, as a node of its own
         node: dict[str, int] = {}
@@ -118,7 +154,7 @@ def _joined(survey: Survey) -> None:
     if not links:
         return
     i, j = np.array(links).T
-    size = len(place) + 1
+    size = len(place) + 1 + len(number)
     label = connected_components(coo_matrix((np.ones(len(i)), (i, j)), (size, size)), directed=False)[1]
     sets: dict[int, list[str]] = {}
     for key in sorted(survey.read):
@@ -129,7 +165,7 @@ def _joined(survey: Survey) -> None:
         smallest = min(alone.values(), key=len)
         rest = "to the fixed points" if anchored else "to the rest"
         raise Lacking(f"the network falls apart: nothing joins {named(smallest)} {rest}; add readings between the two "
-                      "parts, fix points in each, or adjust them one by one", smallest)
+                      "parts, fix points in each, or adjust them one by one", everywhere(survey, smallest))
 
 
 def started(survey: Survey) -> Survey:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from calib import Gaussian, Observations, Pose, Problem, Shared, Unknown, direct
 from calib.effect import slots_of
 from calib.errors import InputError
-from problems.network import datum, stations
+from problems.network import carried, datum, frames, stations
 from problems.network.survey import ADJUSTED, CONSTRAINED, FIXED, Batch, Correlated, Survey
 
 
@@ -19,10 +20,11 @@ def declare(survey: Survey) -> Problem:
     """Declare the adjustment of a surveyed network at the positions that its points have.
 
     survey: points, each with a position (`start.positions` finds missing ones), and readings.
-    Returns the problem with unknowns `point` (the coordinates the network has), `orientation` (of each setting of a
-    circle), `station` (of trackers) and `interferometer` (base point and dead path). Fixed coordinates are held. Where
-    points are constrained and the readings leave the datum open, the condition `datum` keeps these points, as a whole,
-    where they are.
+    Returns the problem with unknowns `point` (the coordinates the network has, of points in frames those in their
+    frame), `orientation` (of each setting of a circle), `station` (of trackers), `interferometer` (base point and dead
+    path) and `frame` (where each frame stands in each epoch). Fixed coordinates are held, and what of a frame does not
+    move. Where points are constrained and the readings leave the datum open, the condition `datum` keeps these points,
+    as a whole, where they are.
     Raises InputError where a point without position takes part.
     """
     problem, point, chosen = _free(survey)
@@ -64,15 +66,23 @@ def _free(survey: Survey) -> tuple[Problem, Unknown, Any]:
             "them from the readings)"
         )
     point = Unknown("point", np.where(np.isnan(places), 0.0, places), "m", tuple(parts), keys)
-    orientation = _orientation(survey)
+    whole = frames.unrolled(survey)
+    orientation = _orientation(whole)
     place = {key: i for i, key in enumerate(keys)}
-    observations = [_observations(batch, survey, point, place, orientation) for batch in survey.batches if len(batch)]
-    observations += [_jointly(cluster, survey, point, place, orientation) for cluster in survey.correlated]
-    positions = dict(zip(keys, places, strict=True))
-    station = stations.poses(survey.sightings, positions)
-    base = stations.bases(survey.ranging, positions)
-    observations += stations.observations(survey.sightings, survey.ranging, point, station, base)
-    problem = Problem(observations, name=survey.name)
+    frame = carried.frame_unknown(survey)
+    stand = partial(carried.on_frames, survey=survey, frame=frame)
+    observations = [_observations(batch, survey, point, place, orientation, stand) for batch in survey.batches
+                    if len(batch)]
+    observations += [_jointly(cluster, survey, point, place, orientation, stand) for cluster in survey.correlated]
+    positions = {key: np.array([one.position["xyz".index(part)] for part in parts])
+                 for key, one in whole.points.items()}
+    station = stations.poses(whole.sightings, positions)
+    base = stations.bases(whole.ranging, positions)
+    observations += stations.observations(survey.sightings, survey.ranging, point, station, base, stand)
+    quantities = carried.positions(survey, point, frame) if frame is not None else []
+    problem = Problem(observations, quantities=quantities, name=survey.name)
+    if frame is not None:
+        problem = problem.hold(*(one for one in carried.held(survey, frame) if frame in problem.unknowns))
     free = np.isin(roles, (ADJUSTED, CONSTRAINED))
     problem = problem.hold(
         *(point[np.flatnonzero(~free[:, j])].part(part) for j, part in enumerate(parts) if not free[:, j].all())
@@ -86,7 +96,8 @@ def _stations_held(survey: Survey, station: Pose, roles: Any) -> list[Any]:
     """The tilts of levelled stations, and the first station where nothing else is a datum."""
     level = {key for batch in survey.sightings if batch.levelled for key in np.asarray(batch.station).tolist()}
     held = [station[i].part("rx", "ry") for i, key in enumerate(station.keys) if key in level]
-    observed = any(batch.model.points == 1 for batch in survey.every_batch)
+    observed = any(batch.model.points == 1 for batch in survey.every_batch) or any(
+        len(one.free) < 6 for one in survey.frames)
     return held if observed or np.isin(roles, (FIXED, CONSTRAINED)).any() else [*held, station[0]]
 
 
@@ -124,7 +135,7 @@ def _arguments(
 
 
 def _observations(
-    batch: Batch, survey: Survey, point: Unknown, place: dict[str, int], orientation: Unknown | None
+    batch: Batch, survey: Survey, point: Unknown, place: dict[str, int], orientation: Unknown | None, stand: Any
 ) -> Observations:
     points = [point[np.array([place[key] for key in keys.tolist()])] for keys in batch.ends]
     setting = None
@@ -132,11 +143,13 @@ def _observations(
         number = {key: i for i, key in enumerate(orientation.keys)}
         setting = orientation[np.array([number[str(key)] for key in np.asarray(batch.orientation)])]
     kind = batch.model
+    model, further = stand(kind.model, list(enumerate(batch.ends)), batch.epoch)
     return Observations(
-        kind.model,
+        model,
         *_arguments(batch, survey, points, setting, Shared),
+        *further,
         readings=batch.values,
-        u=batch.u if isinstance(batch.u, Gaussian) else Gaussian.standard(batch.u),
+        u=carried.with_noise(batch.u, model),
         group=batch.group or batch.kind,
         unit=batch.unit,
         components=kind.components if len(kind.components) > 1 else None,
@@ -173,7 +186,7 @@ class Together:
 
 
 def _jointly(
-    cluster: Correlated, survey: Survey, point: Unknown, place: dict[str, int], orientation: Unknown | None
+    cluster: Correlated, survey: Survey, point: Unknown, place: dict[str, int], orientation: Unknown | None, stand: Any
 ) -> Observations:
     bound: list[Any] = []
     number: dict[str, int] = {}
@@ -193,7 +206,9 @@ def _jointly(
             i = orientation.keys.index(str(np.asarray(member.orientation)[0]))
             setting = argument(f"orientation_{i}", orientation[i])
         takes = _arguments(member, survey, points, setting, float)
-        terms.append((member.model.model, tuple(a if isinstance(a, tuple) else float(np.ravel(a)[0]) for a in takes)))
+        model, further = stand(member.model.model, list(enumerate(member.ends)), member.epoch)
+        takes += [argument(f"frame_{one.index[0]}", one) for one in further]
+        terms.append((model, tuple(a if isinstance(a, tuple) else float(np.ravel(a)[0]) for a in takes)))
         kind = member.model
         components += [f"{member.kind} {' '.join(ends)}{' ' + c if c else ''}" for c in kind.components]
         units += [member.unit] * len(kind.components)

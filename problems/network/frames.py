@@ -1,216 +1,227 @@
-"""A plane frame that grows: points placed from those already there, and one frame laid onto another."""
+"""Frames that move rigidly: bodies whose points keep their places in them, and that stand elsewhere in every epoch.
+
+A point of a frame stands in the parent at Rz(rz) Ry(ry) Rx(rx) p + (x, y, z): turned about the fixed axes x, y, z of
+the parent in this order, then shifted. Each of the six numbers is free or held, and what is held is exact: one free
+number is a guide or an axis of rotation. An axis that is itself unknown is a frame around that one.
+Source: Jones (2015), LGC2 user guide, CERN, for frames with single free parameters; ISO 9787 for the order of turns.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-from itertools import combinations
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import casadi as ca
 import numpy as np
 
+from calib import units
+from calib.errors import InputError
+
 if TYPE_CHECKING:
-    from problems.network.start import Sketch
+    from problems.network.survey import Survey
 
-FLAT = 0.05  # sine of the angle below which two lines do not meet well
-SAME = 0.02  # misfit, relative to the size of the figure, up to which a second solution is as good as the first
-
-
-class Frame:
-    """Positions {key: complex} in one frame; guessed: points of which the mirrored position fits as well."""
-
-    def __init__(self, drawn: Sketch, placed: dict[str, complex], free_scale: bool = False):
-        if free_scale:                # lengths do not hold in a frame whose scale is nobody's
-            drawn = replace(drawn, lengths={}, vectors={})
-        self.drawn, self.placed, self.free_scale = drawn, placed, free_scale
-        self.guessed: set[str] = set()
-
-    @staticmethod
-    def seed(drawn: Sketch, wanted: set[str]) -> tuple[str, Frame] | None:
-        """A frame of two points, from the wanted point that is joined to most others; None where there is none."""
-        partners: dict[str, dict[str, float | None]] = {}
-        for a, b in drawn.lengths:
-            partners.setdefault(a, {})[b] = drawn.lengths[a, b]
-        for station, targets, _ in drawn.settings:
-            for target in targets:
-                partners.setdefault(station, {}).setdefault(target, None)
-                partners.setdefault(target, {}).setdefault(station, None)
-        best = max((key for key in wanted if key in partners), key=lambda k: len(partners[k]), default=None)
-        if best is None:
-            return None
-        # The partner that shares most partners, so that the next point closes a triangle.
-        second = max(partners[best], key=lambda k: (partners[best][k] is not None,
-                                                    len(partners[best].keys() & partners.get(k, {}).keys())))
-        length = partners[best][second]
-        return best, Frame(drawn, {best: 0j, second: complex(length or 1.0)}, length is None)
-
-    def grow(self) -> None:
-        """Place whatever follows from what is placed; ambiguous points only where nothing else is left."""
-        points = {a for a, _ in (*self.drawn.lengths, *self.drawn.bearings, *self.drawn.vectors)}
-        points |= {k for station, targets, _ in self.drawn.settings for k in (station, *targets)}
-        while True:
-            progress = False
-            for bold in (False, True):
-                turns = self._orientations()
-                for key in sorted(points - self.placed.keys()):
-                    place = self._place(key, turns, bold)
-                    if place is not None:
-                        self.placed[key] = place
-                        progress = True
-                        turns = self._orientations()
-                        if bold:
-                            self.guessed.add(key)
-                            break
-                if progress:
-                    break
-            if not progress:
-                return
-
-    def _orientations(self) -> list[float | None]:
-        """Bearing of the zero of each setting; None where its station or all its targets are still unknown."""
-        found: list[float | None] = []
-        for station, targets, readings in self.drawn.settings:
-            here = self.placed.get(station)
-            total = 0j
-            for target, reading in zip(targets, readings, strict=True):
-                bearing = self.drawn.bearings.get((station, target))
-                if bearing is not None:
-                    total += np.exp(1j * (bearing - reading))
-                elif here is not None and target in self.placed and self.placed[target] != here:
-                    total += np.exp(1j * (np.angle(self.placed[target] - here) - reading))
-            found.append(float(np.angle(total)) if abs(total) > 1e-9 else None)
-        return found
-
-    def _evidence(self, key: str, turns: list[float | None]) -> tuple[list[Any], list[Any], list[Any]]:
-        """Rays (origin, bearing) that lead to a point, circles (centre, radius) it lies on, and settings of its own
-        as (positions, readings)."""
-        rays = [(self.placed[a], bearing) for (a, b), bearing in self.drawn.bearings.items()
-                if b == key and a in self.placed]
-        circles = [(self.placed[a], length) for (a, b), length in self.drawn.lengths.items()
-                   if b == key and a in self.placed]
-        own = []
-        for (station, targets, readings), turn in zip(self.drawn.settings, turns, strict=True):
-            if station == key:
-                seen = [(self.placed[t], r) for t, r in zip(targets, readings, strict=True) if t in self.placed]
-                if len(seen) > 1:
-                    own.append(([p for p, _ in seen], [r for _, r in seen]))
-                if turn is not None:
-                    rays += [(p, turn + r + np.pi) for p, r in seen]
-            elif turn is not None and station in self.placed:
-                rays += [(self.placed[station], turn + r) for t, r in zip(targets, readings, strict=True) if t == key]
-        return rays, circles, own
-
-    def _place(self, key: str, turns: list[float | None], bold: bool) -> complex | None:
-        for (a, b), difference in self.drawn.vectors.items():
-            if b == key and a in self.placed:
-                return self.placed[a] + difference
-        rays, circles, own = self._evidence(key, turns)
-        candidates = [c for c in _candidates(rays, circles, own) if np.isfinite(c)]
-        if not candidates:
-            return None
-        misfits = np.array([_misfit(c, rays, circles, own) for c in candidates])
-        best = int(np.argmin(misfits))
-        place = candidates[best]
-        origins = [p for p, _ in (*rays, *circles)] + [p for seen, _ in own for p in seen]
-        size = max(abs(place - p) for p in origins)
-        rivals = [c for c, m in zip(candidates, misfits, strict=True) if m < misfits[best] + SAME * size]
-        apart = max(abs(c - place) for c in rivals)
-        return place if bold or apart < 0.1 * size else None
+PARTS = ("x", "y", "z", "rx", "ry", "rz")
+UNITS = ("m", "m", "m", "deg", "deg", "deg")
+MOVES = {"xyz": PARTS, "xy": ("x", "y", "rz"), "z": ("z",)}     # what a frame can do in a network of these coordinates
 
 
-def _candidates(rays: list[Any], circles: list[Any], own: list[Any]) -> Iterator[complex]:
-    for origin, bearing in rays:
-        for centre, radius in circles:
-            if origin == centre:
-                yield origin + radius * np.exp(1j * bearing)
-            else:
-                yield from _ray_and_circle(origin, bearing, centre, radius)
-    for (a, first), (b, second) in combinations(rays, 2):
-        place = _intersection(a, first, b, second)
-        if place is not None:
-            yield place
-    for (a, r), (b, s) in combinations(circles[:6], 2):
-        yield from _two_circles(a, r, b, s)
-    angles = [(p[i], p[j], r[j] - r[i]) for p, r in own for i, j in combinations(range(len(p)), 2)]
-    inscribed = [_inscribed(a, b, turn) for a, b, turn in angles[:8]]
-    inscribed = [c for c in inscribed if c is not None]
-    for first, second in combinations([*inscribed, *circles[:4]], 2):
-        yield from _two_circles(*first, *second)
+@dataclass(frozen=True)
+class RigidFrame:
+    """Where a frame stands in one epoch.
+
+    name; epoch: "" where it stands the same in all; place: x, y, z [m], rx, ry, rz [rad] in the parent, start values
+    where they are free; free: names of those; parent: name of the frame around it, "" for the network.
+    """
+
+    name: str
+    free: tuple[str, ...] = ()
+    place: tuple[float, ...] = (0.0,) * 6
+    epoch: str = ""
+    parent: str = ""
+
+    @property
+    def key(self) -> str:
+        """Name in results: of the frame, and the epoch after an @."""
+        return f"{self.name}@{self.epoch}" if self.epoch else self.name
 
 
-def _misfit(place: complex, rays: list[Any], circles: list[Any], own: list[Any]) -> float:
-    """Root mean square [m] by which a place misses its rays, circles and directions."""
-    misses = [abs(place - c) - r for c, r in circles]
-    misses += [abs(place - p) * np.abs(np.exp(1j * (np.angle(place - p) - b)) - 1) for p, b in rays if place != p]
-    for seen, readings in own:
-        turn = np.exp(1j * (np.angle(np.array(seen) - place) - np.array(readings)))
-        misses += (np.abs(np.array(seen) - place) * np.abs(turn - turn.sum() / max(abs(turn.sum()), 1e-12))).tolist()
-    return float(np.sqrt(np.mean(np.square(misses)))) if misses else 0.0
+def moved(point: Any, frame: Any) -> tuple[Any, Any, Any]:
+    """Coordinates x, y, z in the parent of a point given in a frame; frame: its six numbers. Symbols, numbers or
+    arrays."""
+    x, y, z = point
+    y, z = _turned(y, z, frame[3])
+    z, x = _turned(z, x, frame[4])
+    x, y = _turned(x, y, frame[5])
+    return x + frame[0], y + frame[1], z + frame[2]
 
 
-def _intersection(a: complex, first: float, b: complex, second: float) -> complex | None:
-    u, v = np.exp(1j * first), np.exp(1j * second)
-    across = (np.conj(u) * v).imag
-    if abs(across) < FLAT:
-        return None
-    along = (np.conj(b - a) * v).imag / across
-    return a + along * u if along > 0 else None
+def moved_back(point: Any, frame: Any) -> tuple[Any, Any, Any]:
+    """Coordinates in a frame of a point given in its parent: `moved` the other way."""
+    x, y, z = (point[i] - frame[i] for i in range(3))
+    x, y = _turned(x, y, -frame[5])
+    z, x = _turned(z, x, -frame[4])
+    y, z = _turned(y, z, -frame[3])
+    return x, y, z
 
 
-def _ray_and_circle(origin: complex, bearing: float, centre: complex, radius: float) -> Iterator[complex]:
-    u = np.exp(1j * bearing)
-    along, off = (np.conj(u) * (centre - origin)).real, (np.conj(u) * (centre - origin)).imag
-    half = radius**2 - off**2
-    if half > -((0.05 * radius) ** 2):
-        for side in (-1, 1):
-            distance = along + side * np.sqrt(max(half, 0.0))
-            if distance > 0:
-                yield origin + distance * u
+def _turned(a: Any, b: Any, angle: Any) -> tuple[Any, Any]:
+    of = ca if isinstance(angle, ca.SX) else np
+    c, s = of.cos(angle), of.sin(angle)
+    return c * a - s * b, s * a + c * b
 
 
-def _two_circles(a: complex, r: float, b: complex, s: float) -> Iterator[complex]:
-    gap = abs(b - a)
-    if gap < 1e-9:
-        return
-    along = (gap**2 + r**2 - s**2) / (2.0 * gap)
-    square = r**2 - along**2
-    if square < -((0.1 * max(r, s)) ** 2):
-        return
-    unit = (b - a) / gap
-    for side in (-1, 1):
-        yield a + unit * (along + side * 1j * np.sqrt(max(square, 0.0)))
+def checked_frames(frames: Sequence[RigidFrame], parts: str) -> tuple[RigidFrame, ...]:
+    """The frames, where they make sense together.
+
+    parts: coordinates of the network. Raises InputError naming a frame that stands twice, in an unknown frame, in
+    itself, or that moves as nothing in this network can.
+    """
+    names = {one.name for one in frames}
+    seen: set[str] = set()
+    for one in frames:
+        if one.key in seen:
+            raise InputError(f"frame '{one.key}' is described twice; give each epoch of a frame once")
+        seen.add(one.key)
+        wrong = [part for part in one.free if part not in PARTS]
+        if wrong:
+            raise InputError(f"frame '{one.key}': '{wrong[0]}' cannot be free; write any of {', '.join(PARTS)}")
+        needless = [part for part in one.free if part not in MOVES[parts]]
+        if needless:
+            raise InputError(f"frame '{one.key}': '{needless[0]}' is free, and this network has the coordinates "
+                             f"{', '.join(parts)} only; free {' or '.join(MOVES[parts])}, or hold it")
+        if one.parent and one.parent not in names:
+            raise InputError(f"frame '{one.key}' stands in '{one.parent}', which is not among the frames"
+                             f"{near(one.parent, names)}")
+        if one.name in _around(frames, one):
+            raise InputError(f"frame '{one.key}' stands in itself ({' in '.join(_around(frames, one))}); name the "
+                             "frame around it, or none")
+    whole = {one.name for one in frames if not one.epoch} & {one.name for one in frames if one.epoch}
+    if whole:
+        raise InputError(f"frame '{min(whole)}' is described with epochs and without; give each of its epochs a line")
+    return tuple(frames)
 
 
-def _inscribed(a: complex, b: complex, turn: float) -> tuple[complex, float] | None:
-    """Centre and radius of the circle from which b appears by `turn` beyond a."""
-    if abs(np.sin(turn)) < FLAT:
-        return None
-    centre = (a + b) / 2 + 1j * (b - a) / (2.0 * np.tan(turn))
-    return centre, abs(centre - a)
+def near(word: str, names: Any) -> str:
+    """A hint at the nearest spelling, and what there is."""
+    found = units.near_matches(word, sorted(names))
+    return (f"; did you mean '{found[0]}'?" if found else "") + f" There are: {', '.join(sorted(names)) or 'none'}"
 
 
-def laid_onto(frame: Frame, main: Frame) -> bool:
-    """Lay a frame onto the main one by the points both have, and take its other points over; False where it cannot."""
-    common = sorted(frame.placed.keys() & main.placed.keys())
-    if len(common) < 2:
-        return False
-    target = np.array([main.placed[k] for k in common])
-    mirrors = (False, True) if not frame.drawn.settings and not frame.drawn.bearings else (False,)
-    best, choice = np.inf, None
-    for mirror in mirrors:
-        own = np.array([frame.placed[k] for k in common])
-        own = np.conj(own) if mirror else own
-        a, b = own - own.mean(), target - target.mean()
-        turn = np.vdot(a, b) / max(float(np.vdot(a, a).real), 1e-300)
-        if not frame.free_scale and abs(turn) > 0:
-            turn /= abs(turn)
-        miss = float(np.linalg.norm(b - turn * a))
-        if miss < best:
-            best, choice = miss, (mirror, turn, own.mean())
-    if choice is None:
-        return False
-    mirror, turn, middle = choice
-    for key, place in frame.placed.items():
-        moved = target.mean() + turn * ((np.conj(place) if mirror else place) - middle)
-        main.placed.setdefault(key, complex(moved))
-    return True
+def _around(frames: Sequence[RigidFrame], one: RigidFrame) -> list[str]:
+    """Names of the frames around a frame, from the inside, as long as none repeats."""
+    found: list[str] = []
+    parent = one.parent
+    while parent and parent not in found:
+        found.append(parent)
+        parent = next((other.parent for other in frames if other.name == parent), "")
+    return found
+
+
+def chain(frames: Sequence[RigidFrame], name: str, epoch: str) -> tuple[int, ...]:
+    """Numbers of the frames from that of a point to the outermost, as they stand in an epoch.
+
+    Raises InputError where there is no such frame, or it is not described for that epoch.
+    """
+    found: list[int] = []
+    while name:
+        place = {one.epoch: i for i, one in enumerate(frames) if one.name == name}
+        if not place:
+            raise InputError(f"there is no frame '{name}'{near(name, {one.name for one in frames})}")
+        number = place.get("", place.get(epoch))
+        if number is None:
+            what = f"is not described for epoch '{epoch}'" if epoch else \
+                "moves from epoch to epoch, and a reading to its points says no epoch; add the column epoch"
+            raise InputError(f"frame '{name}' {what}. Its epochs are: {', '.join(place)}")
+        found.append(number)
+        name = frames[number].parent
+    return tuple(found)
+
+
+def standing(survey: Survey, keys: Any, epochs: Any) -> list[tuple[int, ...]]:
+    """The frames that each of n points stands in when it is read: keys (n,), epochs (n,) or None."""
+    found: dict[tuple[str, str], tuple[int, ...]] = {}
+    when = [""] * len(keys) if epochs is None else np.asarray(epochs).astype(str).tolist()
+    pairs = list(zip(np.asarray(keys).astype(str).tolist(), when, strict=True))
+    for key, epoch in dict.fromkeys(pairs):
+        try:
+            found[key, epoch] = chain(survey.frames, survey.points[key].frame, epoch)
+        except InputError as error:
+            raise InputError(f"point '{key}': {error.sentence}") from None
+    return [found[pair] for pair in pairs]
+
+
+def label(survey: Survey, key: str, inside: Sequence[int]) -> str:
+    """Name of a point as it stands in some frames, such as "P in cart@2"; its own name where it is in none."""
+    return f"{key} in {'/'.join(survey.frames[i].key for i in inside)}" if inside else key
+
+
+def labels(survey: Survey, keys: Any, epochs: Any) -> Any:
+    """Names (n,) of points as they stand when they are read: keys (n,), epochs (n,) or None."""
+    names = np.asarray(keys).astype(str)
+    if not survey.frames:
+        return names
+    return np.array([label(survey, key, inside) for key, inside in
+                     zip(names.tolist(), standing(survey, names, epochs), strict=True)])
+
+
+def everywhere(survey: Survey, keys: Sequence[str]) -> list[str]:
+    """Names of all places of some points."""
+    taken = places_taken(survey)
+    return [*keys, *(name for name, (key, _) in taken.items() if key in keys)]
+
+
+def places_taken(survey: Survey) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """{label: (point, frames)} of every place at which the points of frames are read, in order of appearance."""
+    found: dict[str, tuple[str, tuple[int, ...]]] = {}
+    if survey.frames:
+        for keys, epochs in _ends(survey):
+            for key, inside in zip(keys, standing(survey, keys, epochs), strict=True):
+                if inside:
+                    found.setdefault(label(survey, key, inside), (key, inside))
+    return found
+
+
+def _ends(survey: Survey) -> list[tuple[list[str], Any]]:
+    found = [(keys.tolist(), batch.epoch) for batch in survey.every_batch for keys in batch.ends]
+    found += [(np.asarray(one.target).astype(str).tolist(), one.epoch) for one in survey.sightings]
+    return found + [(np.asarray(one.target).astype(str).tolist(), one.epoch) for one in survey.ranging]
+
+
+def unrolled(survey: Survey) -> Survey:
+    """The survey without frames: what is read of a point at every place of its frame is a point of its own.
+
+    Its places are those that follow from the frames as they stand; a place that is nowhere follows from none.
+    """
+    if not survey.frames:
+        return survey
+
+    def batch(one: Any) -> Any:
+        ends = {"station": one.station, "target": one.target, "back": one.back}
+        given = {name: labels(survey, keys, one.epoch) for name, keys in ends.items() if keys is not None and len(keys)}
+        return replace(one, **given, epoch=None)
+
+    points = {key: point for key, point in survey.points.items() if not point.frame}
+    for name, (key, inside) in places_taken(survey).items():
+        point, frames = survey.points[key], [survey.frames[i] for i in inside]
+        there = outside(point.position, [one.place for one in frames], survey.parts)
+        points[name] = replace(point, position=there, frame="",
+                               **({} if not any(one.free for one in frames) else
+                                  {"plane": point.plane and "adjusted", "height": point.height and "adjusted"}))
+    return replace(
+        survey, frames=(), points=points, batches=[batch(one) for one in survey.batches],
+        correlated=[replace(one, members=tuple(batch(member) for member in one.members)) for one in survey.correlated],
+        sightings=[replace(one, target=labels(survey, one.target, one.epoch), epoch=None)
+                   for one in survey.sightings],
+        ranging=[replace(one, target=labels(survey, one.target, one.epoch), epoch=None) for one in survey.ranging],
+    )
+
+
+def outside(position: Sequence[float], places: Sequence[Any], parts: str,
+            move: Callable[..., Any] = moved) -> tuple[float, float, float]:
+    """Where a point of nested frames, innermost first, stands in the network; coordinates it has not are left."""
+    point: Any = [c if part in parts else 0.0 for c, part in zip(position, "xyz", strict=True)]
+    for place in places:
+        point = move(point, place)
+    x, y, z = (float(c) if part in parts else np.nan for c, part in zip(point, "xyz", strict=True))
+    return x, y, z

@@ -8,7 +8,7 @@ from calib.errors import InputError
 
 
 class Lacking(InputError):
-    """Points lack readings; `points` are their keys."""
+    """Points lack readings; `points` are their names, of points in frames those of the places where they lack them."""
 
     def __init__(self, message: str, points: Sequence[str]):
         super().__init__(message)

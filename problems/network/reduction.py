@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from calib import Gaussian
 from calib.errors import InputError
 from problems.network.checks import checked, started
+from problems.network.frames import labels
 from problems.network.lacking import Lacking
 from problems.network.stations import Ranging, Sightings
 from problems.network.survey import Batch, Correlated, Survey
@@ -32,20 +33,21 @@ def reduced(survey: Survey) -> Survey:
                 raise InputError(f"nothing is left of the network: {error}") from None
 
 
-def without(survey: Survey, keys: set[str]) -> Survey:
-    """The survey without some points and all readings of them."""
-    left_out = np.array(sorted(keys))
+def without(survey: Survey, names: set[str]) -> Survey:
+    """The survey without some points, or without some places of points in frames, and all readings of them."""
+    left_out = np.array(sorted(names))
 
-    def stays(*ends: Any) -> np.ndarray:
-        return ~np.any([np.isin(np.asarray(end).astype(str), left_out) for end in ends], axis=0)
+    def stays(epochs: Any, *ends: Any) -> np.ndarray:
+        return ~np.any([np.isin(labels(survey, end, epochs), left_out) for end in ends], axis=0)
 
-    reduced_to = replace(
+    reduced_to = _reading(replace(
         survey,
-        points={key: point for key, point in survey.points.items() if key not in keys},
-        sightings=[_rows(one, stays(one.target)) for one in survey.sightings],
-        ranging=[_rows(one, stays(one.target)) for one in survey.ranging],
-    )
-    return _reading(reduced_to, lambda batch: stays(*batch.ends))
+        sightings=[_rows(one, stays(one.epoch, one.target)) for one in survey.sightings],
+        ranging=[_rows(one, stays(one.epoch, one.target)) for one in survey.ranging],
+    ), lambda batch: stays(batch.epoch, *batch.ends))
+    return replace(reduced_to, points={
+        key: point for key, point in survey.points.items()
+        if key not in names and (not point.frame or key in reduced_to.read)})
 
 
 def without_rows(survey: Survey, rows: set[int]) -> Survey:
@@ -79,11 +81,15 @@ def _uncertainty(u: Any, keep: np.ndarray) -> Any:
 
 
 def _kept(batch: Batch, keep: np.ndarray) -> Batch:
-    names = ("station", "target", "readings", "back", "orientation", "station_height", "target_height")
+    names = ("station", "target", "readings", "back", "orientation", "station_height", "target_height", "epoch")
     columns = {name: _column(getattr(batch, name), keep) for name in names}
-    covariates = {name: (_column(v[0], keep), v[1]) if isinstance(v, tuple) else _column(v, keep)
-                  for name, v in batch.covariates.items()}
-    return replace(batch, **columns, u=_uncertainty(batch.u, keep), rows=batch.numbers[keep], covariates=covariates)
+    return replace(batch, **columns, u=_uncertainty(batch.u, keep), rows=batch.numbers[keep],
+                   covariates=_covariates(batch.covariates, keep))
+
+
+def _covariates(covariates: Mapping[str, Any], keep: np.ndarray) -> dict[str, Any]:
+    return {name: (_column(v[0], keep), v[1]) if isinstance(v, tuple) else _column(v, keep)
+            for name, v in covariates.items()}
 
 
 def _members(cluster: Correlated, stays: list[bool]) -> Correlated:
@@ -101,4 +107,5 @@ def _rows(one: Any, keep: np.ndarray) -> Any:
     if not (isinstance(one, Sightings) and not isinstance(u, Gaussian) and np.ndim(u) == 1):
         u = _uncertainty(u, keep)
     return replace(one, **{who: _column(getattr(one, who), keep)}, target=_column(one.target, keep),
+                   epoch=_column(one.epoch, keep), covariates=_covariates(one.covariates, keep),
                    readings=_column(one.readings, keep), u=u, rows=np.asarray(rows)[keep])

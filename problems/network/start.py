@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from problems.network import heights, ranges
-from problems.network.frames import Frame, laid_onto
+from problems.network import frame_start, frames, heights, ranges
 from problems.network.lacking import Lacking
+from problems.network.plane import Frame, laid_onto
 from problems.network.stations import spread
 from problems.network.survey import Survey
 
@@ -43,22 +43,32 @@ def positions(survey: Survey) -> Survey:
     Positions that are given stay. Raises InputError naming the points that cannot be placed, what they are read by and
     what would place them.
     """
-    parts = survey.parts
-    missing = {part: _missing(survey, part) for part in parts}
-    if not any(missing.values()):
-        return survey
-    only_ranges = not survey.sightings and {b.kind for b in survey.every_batch} <= {"distance", "slope distance"}
-    known = {key: np.array(point.position) for key, point in survey.points.items()}
-    if only_ranges:
-        known.update(ranges.scaled(survey, known))
+    if survey.frames:
+        found, known = frame_start.placed(survey, grown)
+        whole = frames.unrolled(found)
     else:
-        _grow(survey, known, parts)
-    left = {part: [key for key in keys if np.isnan(known[key]["xyz".index(part)])] for part, keys in missing.items()}
+        whole, known = survey, grown(survey)
+        found = survey.placed(known)
+    left = {part: [key for key in _missing(whole, part) if np.isnan(known[key]["xyz".index(part)])]
+            for part in survey.parts}
     lost = list(dict.fromkeys(key for keys in left.values() for key in keys))
     if lost:
-        raise Lacking("; ".join(_lack(survey, key, known, left) for key in lost[:5])
+        raise Lacking("; ".join(_lack(whole, key, known, left) for key in lost[:5])
                       + (f"; and {len(lost) - 5} more points" if lost[5:] else ""), lost)
-    return survey.placed(known)
+    return found
+
+
+def grown(survey: Survey) -> dict[str, np.ndarray]:
+    """Positions (3,) of the points of a survey without frames, as far as its readings say; those that are given
+    stay."""
+    parts = survey.parts
+    known = {key: np.array(point.position, float) for key, point in survey.points.items()}
+    if any(_missing(survey, part) for part in parts):
+        if not survey.sightings and {b.kind for b in survey.every_batch} <= {"distance", "slope distance"}:
+            known.update(ranges.scaled(survey, known))
+        else:
+            _grow(survey, known, parts)
+    return known
 
 
 def _missing(survey: Survey, part: str) -> list[str]:

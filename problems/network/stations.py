@@ -7,7 +7,7 @@ Sources: Kabsch (1976), Acta Crystallographica A32; Takatsuji et al. (1998), Mea
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,7 +27,7 @@ POLAR = ("range", "azimuth", "zenith")
 class Sightings:
     """Polar readings of trackers: station, target (n,) keys; readings (n, 3) range [m], azimuth, zenith angle [rad], or
     None to plan; u: (3,), (n, 3) or Gaussian; levelled: whether the standing axes are along z; covariates: as of
-    Observations."""
+    Observations; epoch: (n,) of each reading, for targets in frames that move."""
 
     station: Sequence[str] | NDArray
     target: Sequence[str] | NDArray
@@ -37,6 +37,7 @@ class Sightings:
     group: str = "tracker"
     rows: ArrayLike | None = None
     covariates: Mapping[str, Any] = field(default_factory=dict)
+    epoch: Sequence[str] | NDArray | None = None
 
     @property
     def targets(self) -> list[str]:
@@ -47,8 +48,8 @@ class Sightings:
 @dataclass(frozen=True, eq=False)
 class Ranging:
     """Readings of tracking interferometers of unknown base point and dead path: instrument, target (n,) keys; readings
-    (n,) [m] or None; u: number, (n,) or Gaussian; counts: +1 where readings grow with the path, else -1; covariates: as
-    of Observations."""
+    (n,) [m] or None; u: number, (n,) or Gaussian; counts: +1 where readings grow with the path, else -1; covariates and
+    epoch: as of Sightings."""
 
     instrument: Sequence[str] | NDArray
     target: Sequence[str] | NDArray
@@ -58,6 +59,7 @@ class Ranging:
     group: str = "ranges"
     rows: ArrayLike | None = None
     covariates: Mapping[str, Any] = field(default_factory=dict)
+    epoch: Sequence[str] | NDArray | None = None
 
     @property
     def targets(self) -> list[str]:
@@ -186,18 +188,21 @@ def observations(
     point: Unknown,
     station: Pose | None,
     base: Unknown | None,
+    stand: Callable[..., tuple[Any, list[Any]]],
 ) -> list[Observations]:
-    """The readings of trackers and interferometers on the points of a network."""
+    """The readings of trackers and interferometers on the points of a network; stand: puts a model on frames."""
     place = {key: i for i, key in enumerate(point.keys)}
     found = []
     for batch in sightings:
         assert station is not None
         number = {key: i for i, key in enumerate(station.keys)}
         stations, targets = (np.asarray(k).astype(str) for k in (batch.station, batch.target))
+        model, further = stand(laser_tracker.polar_from_station, [(1, targets)], batch.epoch)
         found.append(Observations(
-            laser_tracker.polar_from_station,
+            model,
             station[np.array([number[k] for k in stations.tolist()])],
             point[np.array([place[k] for k in targets.tolist()])],
+            *further,
             readings=batch.readings, u=batch.u, group=batch.group, unit=("m", "rad", "rad"), components=POLAR,
             period=laser_tracker.PERIOD, rows=batch.rows, covariates={"station": stations, "target": targets,
                                                                      **batch.covariates},
@@ -206,11 +211,13 @@ def observations(
         assert base is not None
         number = {key: i for i, key in enumerate(base.keys)}
         instruments, targets = (np.asarray(k).astype(str) for k in (one.instrument, one.target))
+        model, further = stand(ranged, [(0, targets)], one.epoch)
         found.append(Observations(
-            ranged,
+            model,
             point[np.array([place[k] for k in targets.tolist()])],
             base[np.array([number[k] for k in instruments.tolist()])],
             Shared(one.counts),
+            *further,
             readings=one.readings, u=one.u, group=one.group, unit="m", rows=one.rows,
             covariates={"station": instruments, "target": targets, **one.covariates},
         ))

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from calib import Gaussian
 from calib.errors import InputError
 from calib.units import gon
+from problems.network.frames import RigidFrame
 from problems.network.models import KINDS, Kind
 from problems.network.stations import Ranging, Sightings
 
@@ -26,12 +27,14 @@ FIXED, ADJUSTED, CONSTRAINED = "fixed", "adjusted", "constrained"
 class Point:
     """A point: position (x, y, z) [m], not a number where unknown, and what its plane position and its height are.
 
-    plane, height: FIXED, ADJUSTED, CONSTRAINED (adjusted, and part of a free datum), or "" where it has none.
+    plane, height: FIXED, ADJUSTED, CONSTRAINED (adjusted, and part of a free datum), or "" where it has none; frame:
+    name of the frame that the position is in, "" for the network.
     """
 
     position: tuple[float, float, float] = (np.nan, np.nan, np.nan)
     plane: str = ""
     height: str = ""
+    frame: str = ""
 
     def role(self, part: str) -> str:
         """What the coordinate x, y or z of the point is."""
@@ -49,7 +52,8 @@ class Batch:
     kind: of KINDS; station, target, back: (n,) keys of points (target empty where a reading is of one point, back only
     of angles); readings: (n,) or (n, dim) SI, or None to plan; u: standard uncertainties or Gaussian, SI.
     orientation: (n,) keys of the settings of the circle, of directions; station_height, target_height: (n,) [m].
-    group: name in results; unit: display unit; rows: (n,) numbers in the file; covariates: as of Observations.
+    group: name in results; unit: display unit; rows: (n,) numbers in the file; covariates: as of Observations;
+    epoch: (n,) of each reading, for points in frames that move.
     """
 
     kind: str
@@ -65,6 +69,7 @@ class Batch:
     unit: str = "m"
     rows: ArrayLike | None = None
     covariates: Mapping[str, Any] = field(default_factory=dict)
+    epoch: Sequence[str] | NDArray[Any] | None = None
 
     def __len__(self) -> int:
         return len(self.station)
@@ -115,6 +120,7 @@ class Survey:
 
     points: {key: Point}; batches; correlated: clusters of mixed readings; sightings, ranging: of stations with six
     degrees of freedom and of instruments that read ranges alone; axes: directions of x and y, as "ne";
+    frames: bodies that points belong to, where they stand and how they move;
     clockwise: whether circles count clockwise; remarks: sentences about what was left out, and why.
     a_posteriori: whether the file wants its uncertainties multiplied by the root of the variance factor; tolerance:
     misfit [m] beyond which the file wants readings left out, None where it does not say.
@@ -125,6 +131,7 @@ class Survey:
     correlated: Sequence[Correlated] = ()
     sightings: Sequence[Sightings] = ()
     ranging: Sequence[Ranging] = ()
+    frames: Sequence[RigidFrame] = ()
     axes: str = "ne"
     clockwise: bool = True
     remarks: tuple[str, ...] = ()
