@@ -173,7 +173,8 @@ class Settings(Mapping[str, Any]):
                 values = self._values[found]
                 numbers = [self._in_si(found, one, column.unit) for one in np.ravel(values)]
                 return np.array(numbers).reshape(np.shape(values)) if isinstance(values, list) else numbers[0]
-        value = self._value(key, default, (str, list), "a text with number and unit such as \"0.1 mm\"")
+        wanted = f"a text with number and unit such as \"0.1 {units.customary(dimension)}\""
+        value = self._value(key, default, (str, list), wanted)
         if key not in self._values:
             return value
         if isinstance(value, list):
@@ -243,7 +244,8 @@ class Settings(Mapping[str, Any]):
 
     def _with_unit(self, key: str, text: Any, dimension: str) -> float:
         if not isinstance(text, str):
-            raise InputError(f"{self.where(key)}: {text!r} has no unit; write a text such as \"{text} mm\"")
+            raise InputError(f"{self.where(key)}: {text!r} has no unit; write a text such as "
+                             f"\"{text} {units.customary(dimension)}\"")
         try:
             return signed_quantity(text, dimension)
         except InputError as error:

@@ -45,6 +45,8 @@ SYMBOLS: dict[str, tuple[float, str]] = {
     "V": (1.0, "voltage"), "mV": (1e-3, "voltage"), "uV": (1e-6, "voltage"),
     "1": (1.0, "number"), "%": (percent, "number"), "ppm": (ppm, "number"), "ppb": (1e-9, "number"),
 }
+CUSTOMARY = {"length": "mm", "angle": "arcsec", "time": "s", "temperature": "K", "pressure": "hPa", "voltage": "mV",
+             "number": "ppm"}
 _SPELLINGS = {"metre": "m", "meter": "m", "micron": "um", "degree": "deg", "degrees": "deg", "radian": "rad",
               "second": "s", "sec": "s", "minute": "min", "hour": "h", "kelvin": "K", "percent": "%",
               '"': "arcsec", "″": "arcsec",
@@ -163,6 +165,11 @@ def from_si(value: Any, unit: str) -> Any:
     return value / factor(unit)
 
 
+def customary(expected: str) -> str:
+    """A unit that people would write for a dimension, for the examples in messages; expected: such as "angle/time"."""
+    return re.sub("[a-z]+", lambda name: CUSTOMARY[name[0]], expected)
+
+
 def kelvin_from_celsius(value: Any) -> Any:
     """Absolute temperature [K] of a temperature in degrees Celsius (number or array)."""
     return value + 273.15
@@ -176,7 +183,8 @@ def quantity(text: str, expected: str | None = None) -> float:
     """
     terms = _terms(text)
     if len(terms) != 1:
-        raise InputError(f"'{text}' is a sum; one number with its unit is wanted, as in '0.1 mm'")
+        raise InputError(f"'{text}' is a sum; one number with its unit is wanted, as in "
+                         f"'0.1 {customary(expected or 'length')}'")
     value, unit = terms[0]
     _require(text, unit, expected)
     return to_si(value, unit)

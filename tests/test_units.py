@@ -80,3 +80,8 @@ def test_a_quantity_text_is_one_number_of_the_wanted_dimension():
         units.quantity("3 arcsec", "length")
     with pytest.raises(InputError, match="sum"):
         units.quantity("1 mm + 1 um")
+
+
+@pytest.mark.parametrize("dimension", sorted({kind for _, kind in units.SYMBOLS.values()}))
+def test_the_example_unit_of_a_message_is_of_the_dimension_that_is_wanted(dimension):
+    assert units.dimension(units.customary(dimension)) == dimension
