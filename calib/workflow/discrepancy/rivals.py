@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from calib.analyse.score import Field
 from calib.blocks import Array
-from calib.workflow.discrepancy.noise import BARELY, lagged, standardised, student
+from calib.workflow.discrepancy.noise import BARELY, standardised, student
 from calib.workflow.discrepancy.readings import Channel, sequences
 
 STATED, SCALED, UNEVEN, HEAVY, SERIAL = "as stated", "of another size", "uneven", "heavy-tailed", "serial"
@@ -161,22 +161,24 @@ def _serial(left: Field, channels: Sequence[Channel], dof: int, price: float) ->
 
 
 def _along(left: Field, way: Sequence[NDArray[np.int64]], dof: int) -> tuple[float, float]:
-    """Score and correlation of the serial correlation that goes best with the residuals along sequences of places."""
-    steps = sum(max(len(order) - 1, 0) for order in way) * dof / len(left.residual)
-    quick = [_likelihood(lagged(left.residual[:, None], way, c)[:, 0], steps, c, dof) for c in CORRELATIONS]
-    near = CORRELATIONS[int(np.argmin(quick))]
-    best, correlation = min(quick), float(near)
-    if abs(near) > 0.15 and left.basis.size < LARGE:
-        # Residuals of a fit look less correlated than the noise was: judge the fit that knows the correlation.
-        for trial in sorted({near, *(min(near + more, 0.97) for more in (0.1, 0.2, 0.3) if near > 0)}):
-            basis = np.linalg.qr(lagged(left.basis, way, trial))[0]
-            right = lagged(left.residual[:, None], way, trial)[:, 0]
-            right = right - basis @ (basis.T @ right)
-            best, correlation = min((best, correlation), (_likelihood(right, steps, trial, dof), float(trial)))
-    return best, correlation
+    """Score and correlation of the serial correlation that goes best with the readings along sequences of places.
 
+    The likelihood is the restricted one, since a fit leaves residuals that hang together by themselves.
+    Source: Patterson and Thompson 1971; the inverse covariance is that of a first-order autoregression.
+    """
+    together, squares, share = left.residual[:, None], np.array([[left.squares]]), dof / len(left.residual)
+    if left.basis.size < LARGE:  # of more readings the fit takes a small and even part
+        together, share = np.column_stack([left.basis, left.residual]), 1.0
+        squares = np.diag([*np.ones(left.basis.shape[1]), left.squares])
+    later, earlier = (np.concatenate([order[part] for order in way]) for part in (slice(1, None), slice(None, -1)))
+    first, last = (alone.T @ alone for alone in (np.delete(together, some, axis=0) for some in (later, earlier)))
+    follow = together[later].T @ together[earlier]
 
-def _likelihood(whitened: Array, steps: float, correlation: float, dof: int) -> float:
-    squares = float(whitened @ whitened)
-    variance = max(squares / dof, BOUND)
-    return dof * np.log(variance) + squares / variance + steps * np.log(1 - correlation**2)
+    def score(c: float) -> float:
+        inside = squares - first - c * (follow + follow.T) + c**2 * (squares - last)
+        roots = np.diag(np.linalg.cholesky(first + inside / (1 - c**2)))  # of the unknowns, then of what they leave
+        variance = max(float(roots[-1] ** 2) / dof, BOUND)
+        determinant = share * len(later) * np.log(1 - c**2) + 2 * np.log(roots[:-1]).sum()
+        return float(dof * np.log(variance) + roots[-1] ** 2 / variance + determinant)
+
+    return min((score(c), float(c)) for c in CORRELATIONS)
