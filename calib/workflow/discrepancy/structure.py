@@ -18,6 +18,7 @@ from calib.workflow.discrepancy.readings import Channel
 
 HARMONICS = (1, 2, 3, 4, 5, 6)
 WAVES = (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)  # waves over the range of a covariate that is no angle
+TURNING = ("face",)  # settings of an instrument that turn the sense of its readings
 PLACES = ("position", "travel")  # covariates that are places along a guide
 SETTLING = (0.03, 0.07, 0.15, 0.3)  # of the time, in which something settles
 STEPS = 16  # parts of the time between which a step may be
@@ -66,13 +67,32 @@ def patterns(channels: Sequence[Channel]) -> list[Pattern]:
     for channel in channels:
         if before is None or not _alike(before, channel):
             parts = [(part, inside, list(_kinds(channel, inside))) for part, inside in _parts(channel)]
+            parts += [turned for turn in _turns(channel) for turned in _turned(parts, *turn)]
         before = channel
         for part, inside, kinds in parts:
             places = channel.places[inside]
             found += [Pattern(channel.name + part, covariate, kind, places, columns,
-                              not part and covariate in channel.covariates)
+                              len(inside) == len(channel.places) and covariate in channel.covariates)
                       for covariate, kind, columns in kinds]
     return found
+
+
+def _turns(channel: Channel) -> Iterator[tuple[str, Array]]:
+    """Settings that turn the sense of a reading, as the second face does, so that what lies before them shows with
+    either sign."""
+    for name in TURNING:
+        values = channel.covariates.get(name)
+        if values is not None and values.dtype.kind in "fiu" and len(np.unique(values)) == 2:
+            yield name, np.where(values == values.max(), 1.0, -1.0)
+
+
+def _turned(
+    parts: Sequence[tuple[str, NDArray, list[tuple[str, str, Array]]]], name: str, sense: Array
+) -> list[tuple[str, NDArray, list[tuple[str, str, Array]]]]:
+    """The same patterns over the same parts of a channel, turned with a setting."""
+    return [(f"{part}, turned with the {name}", inside,
+             [(covariate, kind, columns * sense[inside, None]) for covariate, kind, columns in kinds])
+            for part, inside, kinds in parts if len(np.unique(sense[inside])) == 2]
 
 
 def _alike(one: Channel, other: Channel) -> bool:
