@@ -11,6 +11,7 @@ import click
 from calib.catalogue import check_companions
 from calib.cli.compare import compare
 from calib.cli.discover import discover
+from calib.cli.epochs import epochs
 from calib.cli.fleet import fleet
 from calib.cli.lists import effects, example, problems
 from calib.cli.montecarlo import montecarlo
@@ -32,7 +33,7 @@ def calib() -> None:
     """
 
 
-for command in (reproduce, solve, compare, discover, montecarlo, simulate, example, problems, effects, choose,
+for command in (reproduce, solve, compare, discover, epochs, montecarlo, simulate, example, problems, effects, choose,
                 fleet):
     calib.add_command(command)
 

@@ -16,6 +16,7 @@ from problems.network.blunders import blunders
 from problems.network.checks import checked, started
 from problems.network.declare import declare, settle
 from problems.network.effects import effects, with_candidates
+from problems.network.epochs import by_epoch, compare_epochs
 from problems.network.example import example, example_job
 from problems.network.figures import result_tables
 from problems.network.gkf import read_gkf
@@ -89,8 +90,10 @@ __all__ = [
     "Survey",
     "absent",
     "advice",
+    "by_epoch",
     "checked",
     "columns",
+    "compare_epochs",
     "declare",
     "effects",
     "example",
