@@ -11,7 +11,7 @@ from calib import linearise
 from calib.analyse.score import Field, field_of
 from calib.workflow.discrepancy.alias import aliases
 from calib.workflow.discrepancy.looks import corrected, effective_looks
-from calib.workflow.discrepancy.noise import tail_test
+from calib.workflow.discrepancy.noise import spread_test
 from calib.workflow.discrepancy.search import search
 from calib.workflow.discrepancy.sparse import sparse_sets
 from calib.workflow.discrepancy.subsets import Subsets
@@ -79,17 +79,23 @@ def test_two_effects_are_found_that_forward_steps_begin_with_a_third_for():
     assert set(found(residual + 2 * first, [between, first, second]).effects) == {1, 2}
 
 
-def test_tails_of_normal_residuals_fail_no_more_often_than_stated():
-    count, level = 400, 0.02
-    failed = sum(tail_test(field(np.random.default_rng([seed, 5]).standard_normal(60))).p_value <= level
-                 for seed in range(count))
-    assert failed <= binom.ppf(0.999, count, level)
+@pytest.mark.parametrize("count", [12, 60, 300])
+def test_the_spread_of_normal_residuals_fails_no_more_often_than_stated(count):
+    level, cases = 0.02, 300
+    frame = np.linalg.qr(np.random.default_rng(count).standard_normal((count, count // 4)))[0]
+    failed = 0
+    for seed in range(cases):
+        noise = np.random.default_rng([seed, 5]).standard_normal(count)
+        here = Field(noise - frame @ (frame.T @ noise), 1 - np.sum(frame**2, axis=1), frame, (), ())
+        failed += spread_test(here).p_value <= level
+    assert failed <= binom.ppf(0.999, cases, level)
 
 
-def test_tails_of_student_residuals_of_the_stated_size_are_seen():
-    p_values = [tail_test(field(np.random.default_rng([seed, 6]).standard_t(3, 200) / np.sqrt(3))).p_value
-                for seed in range(20)]
-    assert np.mean(np.array(p_values) < 1e-3) >= 0.8
+@pytest.mark.parametrize(("what", "factor", "df"),
+                         [("heavy tails", 1 / np.sqrt(3), 3), ("size", 1.4, 1e9), ("size", 0.7, 1e9)])
+def test_residuals_of_another_size_or_with_heavy_tails_are_seen_for_what_they_are(what, factor, df):
+    looks = [spread_test(field(factor * np.random.default_rng([seed, 6]).standard_t(df, 200))) for seed in range(20)]
+    assert np.mean([one.p_value < 1e-3 and one.what == what for one in looks]) >= 0.8
 
 
 def test_looks_that_are_the_same_count_once_and_others_each():

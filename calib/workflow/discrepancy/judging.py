@@ -8,15 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.analyse.score import Field, orthonormal
-from calib.workflow.discrepancy.looks import corrected
-from calib.workflow.discrepancy.noise import NoiseTest, noise_tests, size_test, tail_test
+from calib.workflow.discrepancy.noise import NoiseTest, noise_tests, upper_tail
 from calib.workflow.discrepancy.rivals import HEAVY, LARGE, SCALED, SERIAL, STATED, UNEVEN, Noise, accounts
 from calib.workflow.discrepancy.scene import Scene
 from calib.workflow.discrepancy.search import Finding, Shares, noise_scale, search
 from calib.workflow.discrepancy.structure import MOST, Place, Screen, described
 
-RARE = 6.0  # what a blunder costs beside its choice: readings go wrong less often than noise is misjudged
-WAYS = 4  # in which the noise is looked at: its size, its tails, its evenness, its memory
+RARE = 6.0  # what a blunder costs beside its choice: it may be anywhere within 25 u to either side
 ADVANTAGE = 6.0  # by which peculiar noise must beat plain noise, and a structure without a name a named effect
 ODD = 8.0  # what it costs to assume noise that is not as stated beside something else: two causes where one may do
 
@@ -50,7 +48,9 @@ def best_account(
         # Nothing is significant: what the noise is, is for its own tests.
         return Account(none, (), Noise(STATED, 0.0, np.ones(len(scene.residual))), 0.0)
     plain, mine = accounts(none.left, nominal.channels), accounts(finding.left, scene.channels)
-    pool = [Account(none, (), one, one.score) for one in plain] + described_ones
+    # Nothing beside the stated noise is refuted at the level; noise of another size explains it only where that shows.
+    refuted = (STATED,) if upper_tail(none.left) <= level else (STATED, SCALED)
+    pool = [Account(none, (), one, one.score) for one in plain if one.kind not in refuted] + described_ones
     if finding.effects or finding.blunders:
         cost = price_of(scene, finding)
         pool += [Account(finding, (), one, one.score + cost + (ODD if one.kind == SCALED else 0.0))
@@ -91,7 +91,14 @@ def price_of(scene: Scene, finding: Finding) -> float:
     candidates = max(len(scene.chosen), 1)
     both = ADVANTAGE if finding.effects and finding.blunders else 0.0
     return float(taken * log_dof + 2 * len(finding.effects) * np.log(candidates) + both
-                 + len(finding.blunders) * (2 * np.log(len(scene.readings)) + RARE - log_dof))
+                 + 2 * _ways(len(scene.readings), len(finding.blunders)) + len(finding.blunders) * (RARE - log_dof))
+
+
+def _ways(n: int, k: int) -> float:
+    """Logarithm of the number of ways to choose k of n."""
+    from scipy.special import gammaln
+
+    return float(gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1))
 
 
 def _search_again(scene: Scene, noise: Noise, level: float, seed: int, shares: Shares) -> Finding:
@@ -128,10 +135,5 @@ def failed_looks(scene: Scene, best: Account, level: float, seed: int) -> tuple[
     left, scale = best.finding.left, best.finding.scale
     if best.noise.kind in (UNEVEN, HEAVY, SERIAL):
         left = replace(scene.field, signals=(), sizes=()) if not best.finding.effects else left
-    looks, counts = noise_tests(left, scene.channels, scale, seed)
-    tests = [(size_test(left), 1.0), (tail_test(left), 1.0), *((one, counts[one.what]) for one in looks)]
-    failed = [one for one, among in tests if corrected(one.p_value, WAYS * among) <= level]
-    size, heavy = tests[0][0], tests[1][0]
-    if heavy in failed and size.p_value < heavy.p_value and best.noise.kind != HEAVY:
-        failed.remove(heavy)  # what is merely larger has larger tails
+    failed = [one for one, p in noise_tests(left, scene.channels, scale, seed) if p <= level]
     return tuple(sorted(failed, key=lambda t: t.p_value))

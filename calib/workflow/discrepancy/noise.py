@@ -11,16 +11,18 @@ from numpy.typing import NDArray
 
 from calib.analyse.score import Field
 from calib.blocks import Array
-from calib.workflow.discrepancy.looks import effective_looks
+from calib.workflow.discrepancy.looks import corrected, effective_looks
 from calib.workflow.discrepancy.readings import Channel, sequences
 
 DRAWS = 200  # simulated residuals from which mean and spread of every figure are taken
-_SERIAL = "serial correlation"
+SERIAL, UNEVEN = "serial correlation", "uneven size"
+SPREAD, EVENNESS, MEMORY = 0.6, 0.25, 0.15  # shares of the level: heavy tails are the last to show
 FEW = 12  # different values up to which a covariate is taken part by part
 FEWEST = 8  # readings from which their tails and their memory can be judged
 BARELY = 0.02  # redundancy below which a residual shows nothing of its reading
 SHAPES = np.array([2.5, 3.0, 4.0, 6.0])  # degrees of freedom of Student's t, from violent to mild
-SIZES = np.exp(np.linspace(-1.2, 1.6, 12))  # of its scale over the stated standard uncertainty
+SIZES = np.exp(np.linspace(-1.6, 1.6, 24))  # of the noise over the stated standard uncertainty
+MANY = 100  # degrees of freedom from which on the ratio of likelihoods is as rarely large
 
 
 @dataclass(frozen=True)
@@ -52,17 +54,28 @@ def upper_tail(field: Field) -> float:
     return float(gammaincc(field.dof / 2, field.squares / 2)) if field.dof else 1.0
 
 
-def tail_test(field: Field) -> NoiseTest:
-    """Likelihood of Student's t, averaged over sizes and shapes, against the stated normal one.
+def spread_test(field: Field) -> NoiseTest:
+    """Likelihood of noise of another size, normal or of Student's t, averaged over sizes and shapes, against the stated
+    one; named after the likelier of the two.
 
-    Under the stated noise such a ratio exceeds 1/p with a probability of p at most (Markov; Ville 1939), and with a
-    much smaller one where many readings make it nearly certain: 1/(n p) for 30 to 300 simulated readings, of which
-    twice is taken.
+    Under the stated noise such a ratio exceeds 1/p with a probability of p at most (Markov; Ville 1939), and of p over
+    the degrees of freedom where many readings make it nearly certain: seen in simulated residuals of 1 to 100 degrees
+    of freedom; of up to 900, 100 serves.
     """
-    if field.dof < FEWEST:
-        return NoiseTest("heavy tails", "all readings", 0.0, 1.0)
-    gain = student(field)[0]
-    return NoiseTest("heavy tails", "all readings", gain, float(min(1.0, 2 / field.dof * np.exp(-gain))))
+    if field.dof < 1:
+        return NoiseTest("size", "all readings", 1.0, 1.0)
+    normal, heavy = _sized(field), student(field)[0] if field.dof >= FEWEST else -np.inf
+    p = np.exp(-float(np.logaddexp(normal, heavy) - np.log(2))) / min(field.dof, MANY)
+    what = "heavy tails" if heavy > normal else "size"
+    return NoiseTest(what, "all readings", float(np.sqrt(field.squares / field.dof)), float(min(1.0, p)))
+
+
+def _sized(field: Field) -> float:
+    """Logarithm of the mean likelihood over sizes of normal noise, even in their logarithm, less that of the stated."""
+    from scipy.special import gammaln
+
+    half, squares = field.dof / 2, max(field.squares, 1e-12) / 2
+    return float(gammaln(half) - half * np.log(squares) + squares - np.log(2 * np.log(SIZES[-1] / SIZES[0])))
 
 
 def student(field: Field) -> tuple[float, float, float]:
@@ -87,63 +100,79 @@ def standardised(field: Field) -> tuple[Array, float]:
     return standard, max(field.dof, 1) / max(len(standard), 1)
 
 
-def noise_tests(
-    field: Field, channels: Sequence[Channel], scale: float, seed: int
-) -> tuple[list[NoiseTest], dict[str, float]]:
-    """Looks at uneven size and serial correlation of what is left, and how many independent looks each of the two is.
+def noise_tests(field: Field, channels: Sequence[Channel], scale: float, seed: int) -> list[tuple[NoiseTest, float]]:
+    """All looks at the noise of what is left, each with its p-value corrected for their number.
 
-    field: residuals after everything found is taken; scale: variance of the noise; seed: of the simulated residuals
-    that each look is judged against.
+    field: residuals after everything found is taken; channels: of its rows; scale: variance of the noise, against which
+    its evenness and its memory are judged; seed: of the simulated residuals of the same geometry that each of these
+    looks is compared with.
     """
-    simulated = field.draw(seed, DRAWS)
-    together = np.concatenate([(field.residual / np.sqrt(scale))[:, None], simulated], axis=1)
-    together /= np.sqrt(np.where(field.redundancy > 1e-6, field.redundancy, np.inf))[:, None]
-    names, figures = [], []
-    for what, where, values in _looks(together, channels):
-        names.append((what, where))
-        figures.append(values)
-    if not figures:
-        return [], {}
-    every = np.concatenate(figures)
-    drawn = every[:, 1:]
     from scipy.special import erfc
 
-    z = np.abs(every - drawn.mean(axis=1, keepdims=True)) / np.maximum(drawn.std(axis=1, keepdims=True), 1e-12)
-    p = erfc(z / np.sqrt(2))
-    tests = [NoiseTest(*name, float(figure), float(one)) for name, figure, one in
-             zip(names, every[:, 0], p[:, 0], strict=True)]
-    looks = {}
-    for what in dict.fromkeys(what for what, _ in names):
-        of = [i for i, (kind, _) in enumerate(names) if kind == what]
-        looks[what] = effective_looks(p[of, 1:].min(axis=0), len(of))
-    return tests, looks
+    together = np.concatenate([(field.residual / np.sqrt(scale))[:, None], field.draw(seed, DRAWS)], axis=1)
+    families = ((SERIAL, MEMORY, list(_memory(together, channels))),
+                (UNEVEN, EVENNESS / 2, list(_of_channels(field, together, channels))),
+                (UNEVEN, EVENNESS / 2, list(_along_covariates(field, together, channels))))
+    present = SPREAD + sum(share for _, share, looks in families if looks)
+    spread = spread_test(field)
+    found = [(spread, spread.p_value * present / SPREAD)]
+    for what, share, looks in families:
+        if not looks:
+            continue
+        figures = np.array([values for _, values in looks])
+        drawn = figures[:, 1:]
+        z = np.abs(figures - drawn.mean(axis=1, keepdims=True)) / np.maximum(drawn.std(axis=1, keepdims=True), 1e-12)
+        p = erfc(z / np.sqrt(2))
+        among = effective_looks(p[:, 1:].min(axis=0), len(looks))
+        found += [(NoiseTest(what, where, float(values[0]), float(one)), corrected(float(one), among) * present / share)
+                  for (where, values), one in zip(looks, p[:, 0], strict=True)]
+    return found
 
 
-def _looks(standard: Array, channels: Sequence[Channel]) -> Iterator[tuple[str, str, Array]]:
-    """What is looked at, where, and its figure (1, draws) for each column of standardised residuals."""
-    # The cube root of a square is nearly normal, so that a few rows and many are judged alike and one blunder is no
-    # uneven size (Wilson and Hilferty 1931).
-    sizes, squares = np.cbrt(standard**2), standard**2
+def _memory(residuals: Array, channels: Sequence[Channel]) -> Iterator[tuple[str, Array]]:
+    """Where one reading may remember the one before, and the correlation of each column of residuals."""
+    squares = residuals**2
     ways = sequences(channels)
     for way, label in zip(ways, ("channels", "groups"), strict=False):
-        pairs = [(order, np.sum(standard[order[1:]] * standard[order[:-1]], axis=0)) for order in way if len(order) > 3]
+        pairs = [(order, np.sum(residuals[order[1:]] * residuals[order[:-1]], axis=0)) for order in way
+                 if len(order) > 3]
         for k, (order, product) in enumerate(pairs):
             if len(order) >= FEWEST and len(pairs) == len(channels) and label == "channels":
-                yield _SERIAL, channels[k].name, (product / np.maximum(np.sum(squares[order], axis=0), 1e-300))[None]
+                yield channels[k].name, product / np.maximum(np.sum(squares[order], axis=0), 1e-300)
         if len(pairs) > 1 or label == "groups":
             total = sum(np.sum(squares[order], axis=0) for order, _ in pairs)
-            yield _SERIAL, f"all {label}", (sum(product for _, product in pairs) / np.maximum(total, 1e-300))[None]
+            yield f"all {label}", sum(product for _, product in pairs) / np.maximum(total, 1e-300)
+
+
+def _sizes(field: Field, residuals: Array) -> Array:
+    """Size of every residual, weighted by what it shows of the noise of its reading.
+
+    The cube root of a square is nearly normal, so that a few rows and many are judged alike and one blunder is no
+    uneven size (Wilson and Hilferty 1931).
+    """
+    seen = field.redundancy[:, None]
+    return seen * np.cbrt(residuals**2 / np.where(seen > BARELY, seen, np.inf))
+
+
+def _of_channels(field: Field, residuals: Array, channels: Sequence[Channel]) -> Iterator[tuple[str, Array]]:
+    """Share of each channel in the size of all residuals."""
+    if len(channels) < 2:
+        return
+    sizes = _sizes(field, residuals)
+    whole = np.maximum(sizes.sum(axis=0), 1e-300)
     for channel in channels:
-        own = sizes[channel.places]
-        mean = np.maximum(own.mean(axis=0, keepdims=True), 1e-300)
+        yield channel.name, sizes[channel.places].sum(axis=0) / whole
+
+
+def _along_covariates(field: Field, residuals: Array, channels: Sequence[Channel]) -> Iterator[tuple[str, Array]]:
+    """How the size of the residuals of each channel goes with what was recorded beside them."""
+    sizes = _sizes(field, residuals)
+    for channel in channels:
+        own, weights = sizes[channel.places], field.redundancy[channel.places]
+        mean = np.maximum(own.mean(axis=0), 1e-300)
         for name, column in _uneven(channel):
-            centred = (column - column.mean()) / max(float(np.std(column)), 1e-12)
-            yield "uneven size", f"{channel.name}, {name}", centred[None, :] @ own / mean
-    if len(channels) > 1:
-        whole = sizes.sum(axis=0, keepdims=True)
-        for channel in channels:
-            own = sizes[channel.places].sum(axis=0, keepdims=True)
-            yield "uneven size", channel.name, own / np.maximum(whole, 1e-300)
+            centred = column - np.average(column, weights=np.maximum(weights, BARELY))
+            yield f"{channel.name}, {name}", centred @ own / mean
 
 
 def _uneven(channel: Channel) -> Iterator[tuple[str, Array]]:
