@@ -155,6 +155,12 @@ class Field:
             self.sizes,
         )
 
+    def without(self, places: Sequence[int]) -> Field:
+        """The field without some of the readings: each of them is one direction that is taken."""
+        unit = np.zeros((len(self.residual), len(places)))
+        unit[list(places), np.arange(len(places))] = 1.0
+        return self.taking(orthonormal(self.outside(unit), np.ones(len(places)))) if len(places) else self
+
     def draw(self, seed: int, count: int) -> Array:
         """Residuals (n, count) as they would be if nothing but the stated noise were there, the same for a seed."""
         if (seed, count) not in self.drawn:

@@ -204,7 +204,8 @@ def _named(
     values: dict[int, Array] = {
         place: after.values[scene.chosen[place].unknown][scene.chosen[place].instance] for place in finding.effects
     }
-    standing_in = aliases(scene.field, finding.effects, values, scene.columns, scene.positive)
+    field = scene.field.without(finding.blunders)
+    standing_in = aliases(field, finding.effects, values, scene.columns, scene.positive)
     effects, advice = [], []
     widened = np.sqrt(finding.scale)
     for place, p in zip(finding.effects, finding.p_effects, strict=True):

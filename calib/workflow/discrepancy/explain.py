@@ -104,6 +104,9 @@ def _settled(
         if [c.label for c in chosen] == [c.label for c in named] and rows == outliers:
             break
         refit = _refit(problem, chosen, rows, before)
+        if refit is None and rows:  # a gross blunder bends the linear picture: without it the model is seen where it is
+            chosen, rows = _names(scene, replace(finding, effects=(), blunders=finding.blunders[:1]))
+            refit = _refit(problem, chosen, rows, before)
         if refit is None:  # the linear picture promised more than the model keeps: stay where it holds
             break
         named, outliers, estimate = chosen, rows, refit

@@ -23,6 +23,7 @@ CORRELATIONS = np.concatenate([np.linspace(-0.7, 0.9, 17), [0.95, 0.98]])
 SMALLEST = 4.0  # redundancy of the smallest group of rows whose scatter is estimated
 LARGE = 3_000_000  # numbers in a basis, from which it is not made again for one more look
 BOUND = 0.05  # smallest variance that an estimate may take
+NOTHING = 1e-9  # sum of squares that is none, so that exact readings have a logarithm
 
 
 @dataclass(frozen=True)
@@ -166,10 +167,11 @@ def _along(left: Field, way: Sequence[NDArray[np.int64]], dof: int) -> tuple[flo
     The likelihood is the restricted one, since a fit leaves residuals that hang together by themselves.
     Source: Patterson and Thompson 1971; the inverse covariance is that of a first-order autoregression.
     """
-    together, squares, share = left.residual[:, None], np.array([[left.squares]]), dof / len(left.residual)
-    if left.basis.size < LARGE:  # of more readings the fit takes a small and even part
-        together, share = np.column_stack([left.basis, left.residual]), 1.0
-        squares = np.diag([*np.ones(left.basis.shape[1]), left.squares])
+    basis, share = left.basis, 1.0
+    if basis.size >= LARGE:  # of so many readings the fit takes a small and even part
+        basis, share = basis[:, :0], dof / len(left.residual)
+    together = np.column_stack([basis, left.residual])
+    squares = np.diag([*np.ones(basis.shape[1]), left.squares + NOTHING])
     later, earlier = (np.concatenate([order[part] for order in way]) for part in (slice(1, None), slice(None, -1)))
     first, last = (alone.T @ alone for alone in (np.delete(together, some, axis=0) for some in (later, earlier)))
     follow = together[later].T @ together[earlier]
