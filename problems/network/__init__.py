@@ -1,32 +1,35 @@
 """Survey networks: points and instruments that see one another, adjusted together, with any datum.
 
 Distances, directions, angles, azimuths, zenith angles, height differences, vectors and coordinates, with full
-covariance; laser trackers with six degrees of freedom, and interferometers of unknown base point. Points are fixed,
-adjusted, or the constrained ones of a free network. Reads the .gkf files of GNU Gama and tables. Start values, if none
-are given, are found from the readings.
+covariance; scale bars and inclinations; laser trackers with six degrees of freedom, and interferometers of unknown base
+point; frames that move rigidly. Points are fixed, adjusted, or the constrained ones of a free network. Reads the .gkf
+files of GNU Gama and tables. Start values, if none are given, are found from the readings.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from calib import Linearisation, Problem
+from calib import Effect, Linearisation, Problem
+from calib.errors import InputError
 from calib.job import Job
+from problems.network import frames
 from problems.network.blunders import blunders
 from problems.network.checks import checked, started
 from problems.network.declare import declare, settle
+from problems.network.described import columns, options
 from problems.network.effects import effects, with_candidates
 from problems.network.epochs import by_epoch, compare_epochs
 from problems.network.example import example, example_job
 from problems.network.figures import result_tables
 from problems.network.gkf import read_gkf
 from problems.network.measures import fitting_unit
-from problems.network.reduction import reduced
+from problems.network.reduction import LEAVE_OUT, reduced
 from problems.network.scene import scene
 from problems.network.start import positions
 from problems.network.stations import Ranging, Sightings
 from problems.network.survey import Batch, Correlated, Point, Survey
-from problems.network.tables import columns, options, read_tables
+from problems.network.tables import read_tables
 from problems.network.tolerance import tolerable
 
 accepts = ("problems.network", "network", ".gkf")
@@ -45,19 +48,47 @@ def surveyed(job: Job) -> Survey:
 
 
 def _surveyed(job: Job) -> Survey:
-    rest = job.path.suffix != ".gkf" and job.options.flag("leave_out_weak", False)
     file = job.path.name if job.path.suffix == ".gkf" else job.options.text("network", "")
-    survey = read_gkf(job.path.parent / file, strict=not rest) if file else read_tables(job)
-    placed = reduced(survey) if rest else started(checked(survey))
-    return tolerable(placed) if file else placed
+    allowed = _allowed(job) if job.path.suffix != ".gkf" else set()
+    if file:
+        return tolerable(reduced(read_gkf(job.path.parent / file, strict="lacking" not in allowed), allowed))
+    return reduced(read_tables(job, allowed), allowed)
+
+
+def _allowed(job: Job) -> set[str]:
+    """What the options of a job let us leave out."""
+    wanted = set(job.options.texts("leave_out", ()))
+    wanted |= {"lacking"} if job.options.flag("leave_out_weak", False) else set()
+    strange = sorted(wanted - set(LEAVE_OUT))
+    if strange:
+        raise InputError(f"{job.options.where('leave_out')}: '{strange[0]}' cannot be left out"
+                         f"{frames.near(strange[0], set(LEAVE_OUT))}")
+    return wanted
 
 
 def from_job(job: Job) -> Problem:
     """Declare the network of a .gkf file or of a job with tables, with the effects that its instruments may have.
 
+    [instruments.NAME] of a table states u, as "1 mm + 2 ppm" of lengths or "2 arcsec + 0.01 arcsec/m" of angles;
+    station_centring and target_centring, lengths that count across a sight and along a distance; and pointing of
+    angles: a length at the target ("0.3 mm", seen at its distance), an angle, or an angle per length. They add in
+    squares. Points of a frame ([data.frames]) move rigidly with it, from epoch to epoch, in what is free of it; where
+    they then stand in the network is the result `position`.
     Raises InputError naming points and what they lack, where the network cannot be adjusted.
     """
-    return with_candidates(declare(settle(surveyed(job))))
+    problem = with_candidates(declare(settle(surveyed(job))))
+    wanted = job.options.texts("free", ()) if job.path.suffix != ".gkf" else ()
+    return problem.free(*(effect for name in wanted for effect in _named(problem, name, job)))
+
+
+def _named(problem: Problem, name: str, job: Job) -> list[Effect]:
+    """The effects of a name: the label of one, or the name that several instruments share."""
+    found = [one for one in problem.effects if name == one.label]
+    found = found or [one for one in problem.effects if name == one.name]
+    if not found:
+        raise InputError(f"{job.options.where('free')}: no instrument of this network has the constant '{name}'"
+                         f"{frames.near(name, {one.label for one in problem.effects})}")
+    return found
 
 
 def remarks(job: Job) -> list[str]:
@@ -71,7 +102,7 @@ def advice(fit: Linearisation) -> list[str]:
     own = [survey for _, survey in _latest if {batch.group or batch.kind for batch in survey.batches}
            <= {group.name for group in fit.groups}]      # a problem need not come from a job
     unit = fitting_unit(own[0], fit.objective, fit.dof) if found and own else None
-    return [f"{unit[0].upper()}{unit[1:]}."] if unit else found
+    return [f"{str(unit)[0].upper()}{str(unit)[1:]}."] if unit else found
 
 
 def absent(job: Job) -> set[str]:

@@ -10,6 +10,15 @@ LARGEST = 200_000    # scalar readings up to which every report looks for blunde
 CHANCE = 0.001       # that any reading of a network without blunders is named
 
 
+def worst_reading(fit: Linearisation) -> tuple[str, int, str] | None:
+    """Group, row and description of the reading that is most surely a blunder; None where none is."""
+    if (found := blunders(fit)):
+        tests = reliability(fit)
+        i = int(np.nanargmax(np.abs(tests.w)))
+        return str(tests.group[i]), int(tests.row[i]), found[0]
+    return None
+
+
 def blunders(fit: Linearisation) -> list[str]:
     """Sentences about readings whose residual no random error explains, the worst first; at most three.
 

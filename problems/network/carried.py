@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from casadi import vertcat
@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from calib import Gaussian, Quantity, Unknown, direct
 from calib.effect import positional_of, slots_of
 from problems.network import frames
-from problems.network.survey import Survey
+
+if TYPE_CHECKING:
+    from problems.network.survey import Survey
 
 SHOWN = 200      # places of points in frames that are results of their own
 

@@ -10,12 +10,13 @@ from calib import predict
 from calib.errors import InputError
 from problems.network.declare import declare_free
 from problems.network.frames import MOVES, checked_frames, everywhere, places_taken, unrolled
-from problems.network.lacking import Lacking
+from problems.network.lacking import Contradicting, Lacking
 from problems.network.measures import contradicting_unit
 from problems.network.start import positions
 from problems.network.survey import ADJUSTED, CONSTRAINED, FIXED, Survey
 
 GROSS = 0.3      # misfit of a start, in radians or relative to the length, that no reading can have
+LENGTHS = ("distance", "slope distance", "scale bar")
 LISTED = 6
 
 
@@ -179,8 +180,10 @@ def started(survey: Survey) -> Survey:
         return placed
     factor = _length_factor(placed)
     if factor is not None:
-        raise InputError(f"the distances are {factor:.4g} times what the coordinates say: one of the two is not in "
-                         "metres; correct the unit of the distances or of the coordinates")
+        raise Contradicting(
+            f"the distances are {factor:.4g} times what the coordinates say: one of the two is not in metres; correct "
+            "the unit of the distances or of the coordinates",
+            [batch.group or batch.kind for batch in survey.batches if batch.kind in LENGTHS])
     fresh = {key: replace(point, position=(np.nan,) * 3)
              if FIXED not in (point.plane, point.height) else point for key, point in survey.points.items()}
     try:
@@ -188,8 +191,8 @@ def started(survey: Survey) -> Survey:
     except InputError:
         return placed
     left = len(_gross(again))
-    if left > 1 and (sentence := contradicting_unit(survey, _gross, left)):
-        raise InputError(sentence)
+    if left > 1 and (error := contradicting_unit(survey, _gross, left)):
+        raise error
     if left >= len(suspects):
         return placed
     scale = np.nanmax(np.ptp([p.position for p in again.points.values()], axis=0))
@@ -236,7 +239,7 @@ def _length_factor(survey: Survey) -> float | None:
     predicted = predict(problem)
     ratios = np.concatenate([np.zeros(0), *(
         batch.values[:, 0] / predicted[batch.group or batch.kind][:, 0]
-        for batch in survey.batches if batch.kind in ("distance", "slope distance") and batch.values is not None
+        for batch in survey.batches if batch.kind in LENGTHS and batch.values is not None
     )])
     if len(ratios) < 2:
         return None

@@ -12,7 +12,7 @@ import numpy as np
 from calib import Gaussian, Observations, Pose, Problem, Shared, Unknown, direct
 from calib.effect import slots_of
 from calib.errors import InputError
-from problems.network import carried, datum, frames, stations
+from problems.network import carried, datum, frames, stations, tilts
 from problems.network.survey import ADJUSTED, CONSTRAINED, FIXED, Batch, Correlated, Survey
 
 
@@ -79,6 +79,7 @@ def _free(survey: Survey) -> tuple[Problem, Unknown, Any]:
     station = stations.poses(whole.sightings, positions)
     base = stations.bases(whole.ranging, positions)
     observations += stations.observations(survey.sightings, survey.ranging, point, station, base, stand)
+    observations += tilts.observations(survey.tilts, station, frame, survey.frames)
     quantities = carried.positions(survey, point, frame) if frame is not None else []
     problem = Problem(observations, quantities=quantities, name=survey.name)
     if frame is not None:
@@ -98,7 +99,10 @@ def _stations_held(survey: Survey, station: Pose, roles: Any) -> list[Any]:
     held = [station[i].part("rx", "ry") for i, key in enumerate(station.keys) if key in level]
     observed = any(batch.model.points == 1 for batch in survey.every_batch) or any(
         len(one.free) < 6 for one in survey.frames)
-    return held if observed or np.isin(roles, (FIXED, CONSTRAINED)).any() else [*held, station[0]]
+    if observed or np.isin(roles, (FIXED, CONSTRAINED)).any():
+        return held
+    # Where inclinometers say what is vertical, only the turn about it is open.
+    return [*held, station[0].part("x", "y", "z", "rz") if survey.tilts else station[0]]
 
 
 def _orientation(survey: Survey) -> Unknown | None:

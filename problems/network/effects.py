@@ -12,14 +12,16 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from casadi import vertcat
+from casadi import sqrt, vertcat
 
-from calib import Effect, Parameter, Problem
+from calib import Effect, Observations, Parameter, Problem
 from calib.units import arcsec, hour, mm, ppm
 from instruments import influence, interferometer, laser_tracker
 
 EARTH = 6_371_000.0     # mean radius [m]; a curvature of the sight is stated as a part of that of the earth
 SOURCE = "Rueger, Electronic Distance Measurement, 4th edition (1996); ISO 17123-3, -4"
+AXES = "Deumlich and Staiger, Instrumentenkunde der Vermessungstechnik, 9th ed. (2002): axis and circle errors"
+BAR = "ISO 1:2022, reference temperature; expansion of steel 11.5 ppm/K, of carbon fibre below 1 ppm/K"
 CENTRING = "Ghilani, Adjustment Computations, 5th edition (2010), chapter 7"
 ASKED_ONE_BY_ONE = 24   # stations up to which each is asked by itself: with more, nobody compares so many candidates
 
@@ -35,8 +37,7 @@ def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
                "distance", source=SOURCE),
         Effect("scale", "distance", lambda value, p, length: p.s * length,
                (Parameter("s", "ppm", (1 * ppm, 200 * ppm)),), "distance", source=SOURCE),
-        Effect("index", "zenith", lambda value, p: p.i, (Parameter("i", "arcsec", (1 * arcsec, 60 * arcsec)),),
-               "vertical circle", source=SOURCE),
+        _angular("index", "zenith", lambda value, p: p.i, "vertical circle"),
         Effect("refraction", "zenith", lambda value, p, length: -p.k * length / (2.0 * EARTH),
                (Parameter("k", "1", (0.05, 0.5)),), "vertical circle", source=SOURCE),
         Effect("staff_scale", "height", lambda value, p, rise: p.s * rise,
@@ -46,6 +47,34 @@ def effects(blocks: Sequence[int] = ()) -> tuple[Effect, ...]:
                                 channel="{key} circle"), per="station"),
         *(_moved(int(block)) for block in blocks),
     )
+
+
+def effects_in_two_faces() -> tuple[Effect, ...]:
+    """Collimation, tilt of the trunnion axis and vertical index of circles whose readings say their face.
+
+    Readings of both faces are those reduced to face 1: what the axes do wrong changes its sign with the face.
+    """
+    return (
+        _angular("index", "zenith", lambda value, p, face: p.i * face, "vertical circle, two faces"),
+        _angular("collimation", "circle", lambda value, p, face, steepness: p.i * face * sqrt(1 + steepness**2),
+                 "circle"),
+        _angular("trunnion_tilt", "circle", lambda value, p, face, steepness: p.i * face * steepness, "circle"),
+    )
+
+
+def effects_of_aids() -> tuple[Effect, ...]:
+    """Index of inclinometers, expansion of scale bars with their temperature."""
+    return (
+        _angular("tilt_index", "inclination", lambda value, p: p.i, "inclinometer"),
+        Effect("expansion", "bar",
+               lambda value, p, length, temperature_difference: p.a * length * temperature_difference,
+               (Parameter("a", "ppm/K", (0.1 * ppm, 25 * ppm)),), "bar", source=BAR),
+    )
+
+
+def _angular(name: str, slot: str, function: Any, channel: str) -> Effect:
+    return Effect(name, slot, function, (Parameter("i", "arcsec", (1 * arcsec, 60 * arcsec)),), channel,
+                  source=SOURCE if channel != "circle" else AXES)
 
 
 def _in_plan(value: Any, p: Any) -> Any:
@@ -76,6 +105,17 @@ def station_effects(problem: Problem, blocks: Sequence[int] = ()) -> tuple[Effec
     return tuple(found)
 
 
+def _of_each_instrument(effect: Effect, observations: Sequence[Observations]) -> list[Effect]:
+    """An effect on all readings, or, where several instruments have read what it acts on, one for each by name."""
+    groups: dict[str, list[str]] = {}
+    for one in observations:
+        if effect.slot in one.slots:
+            groups.setdefault(str(np.ravel(one.covariates.get("instrument", ""))[0]), []).append(one.group)
+    if effect.per is not None or len(groups) < 2:
+        return [replace(effect, groups=[one.group for one in observations])]
+    return [replace(effect, groups=of_one, channel=name or effect.channel) for name, of_one in groups.items()]
+
+
 def with_candidates(problem: Problem) -> Problem:
     """The network with every effect that can act on its readings, held at zero.
 
@@ -84,8 +124,15 @@ def with_candidates(problem: Problem) -> Problem:
     read = [o for o in problem.observations if not o.is_prior]
     blocks = sorted({int(b) for o in read for b in o.covariates.get("block", ())})[1:]
     stations = {str(key) for o in read for key in np.unique(o.covariates.get("station", ()))}
-    surveyed = [o.group for o in read if not {"tracker_point", "displacement"} & set(o.slots)]
-    found = [*(replace(effect, groups=surveyed) for effect in effects(blocks)), *station_effects(problem, blocks)]
+    surveyed = [o for o in read if not {"tracker_point", "displacement"} & set(o.slots)]
+    faced = [o for o in surveyed if "face" in o.covariates]
+    found = [one for effect in effects_in_two_faces() for one in _of_each_instrument(effect, faced)]
+    known = {("index", o.group) for o in faced}
+    for effect in (*effects(blocks), *effects_of_aids()):
+        found += _of_each_instrument(effect, [o for o in surveyed if (effect.name, o.group) not in known])
+    if not any(one.name == "point" and one.freedom == 3 for one in problem.unknowns):
+        found = [effect for effect in found if effect.name != "trunnion_tilt"]      # sights in a plane do not show it
+    found += station_effects(problem, blocks)
     if len(stations) > ASKED_ONE_BY_ONE:
         found = [effect for effect in found if effect.per is None]
     return problem.with_effects(*problem.acting(found))

@@ -26,7 +26,7 @@ def survey() -> Survey:
     levelled = (["A", "1", "2", "4", "B", "3"], ["1", "2", "4", "B", "3", "A"])
     return Survey(points, [
         Batch("direction", station, target, None, np.full(n, 2.0 * arcsec), orientation=station, group="directions",
-              unit="deg", covariates=recorded),
+              unit="deg", covariates=recorded | {"face": 1.0 - 2.0 * (np.arange(n) % 2)}),
         Batch("slope distance", station, target, None, np.full(n, 1.0 * mm), station_height=1.6, target_height=1.3,
               group="slope_distances", covariates=recorded),
         Batch("zenith angle", station, target, None, np.full(n, 3.0 * arcsec), station_height=1.6, target_height=1.3,
@@ -56,7 +56,10 @@ def example_job(seed: int) -> dict[str, str]:
         further = ",station_height_m,target_height_m" if heights else ""
         timed = [f",{t / minute:.0f},{b}" for t, b in zip(group.covariates.get("time", ()),
                                                           group.covariates.get("block", ()), strict=True)]
-        lines = [f"# source: simulated\nstation,target,{header}{further}{',time_min,block' if timed else ''}"]
+        if name == "directions":
+            timed = [f"{one},{1 if face > 0 else 2}" for one, face in zip(timed, group.covariates["face"], strict=True)]
+        faced = ",face" if name == "directions" else ""
+        lines = [f"# source: simulated\nstation,target,{header}{further}{',time_min,block' if timed else ''}{faced}"]
         ends = (group.covariates[name] for name in ("station", "target"))
         for station, target, value, when in zip(*ends, readings, timed or [""] * len(readings), strict=True):
             shown = value / factor % 360.0 if name == "directions" else value / factor

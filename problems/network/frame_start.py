@@ -246,7 +246,7 @@ def laid(place: Array, free: Sequence[str], own: Array, there: Array, columns: S
 def _scanned(place: Array, free: Sequence[str], own: Array, there: Array) -> Array:
     """The best of a grid of turns, each with the shift that fits it best; the turns as given where they fit as well."""
     turns = [i for i in (3, 4, 5) if PARTS[i] in free]
-    grid = np.arange(ANGLES[len(turns)]) * 2.0 * np.pi / ANGLES[len(turns)]
+    grid = np.pi - np.arange(ANGLES[len(turns)]) * 2.0 * np.pi / ANGLES[len(turns)]
     trial = np.tile(place, (1 + len(grid) ** len(turns), 1))
     trial[1:, turns] = np.array(list(product(grid, repeat=len(turns))))
     still = np.array([part in free for part in PARTS[:3]])

@@ -11,8 +11,9 @@ def zenith_angles(survey: Survey) -> dict[tuple[str, str], float]:
     """{(station, target): zenith angle [rad]}, both ways."""
     found: dict[tuple[str, str], float] = {}
     for batch in survey.every_batch:
-        if batch.kind == "zenith angle" and batch.values is not None:
-            for a, b, value in zip(*(keys.tolist() for keys in batch.ends), batch.values[:, 0], strict=True):
+        if batch.kind in ("zenith angle", "inclination") and batch.values is not None:
+            values = batch.values[:, 0] if batch.kind == "zenith angle" else np.pi / 2.0 - batch.values[:, 0]
+            for a, b, value in zip(*(keys.tolist() for keys in batch.ends), values, strict=True):
                 found[a, b] = float(value)
                 found.setdefault((b, a), float(np.pi - value))
     return found
@@ -52,10 +53,10 @@ def _differences(survey: Survey, known: dict[str, np.ndarray]) -> dict[tuple[str
                 levelled[a, b] = float(value[0])
             elif batch.kind == "vector":
                 levelled[a, b] = float(value[2] + up[i])
-            elif batch.kind == "slope distance" and (a, b) in zenith:
+            elif batch.kind in ("slope distance", "scale bar") and (a, b) in zenith:
                 slopes[a, b] = float(value[0] * np.cos(zenith[a, b]) + up[i])
-            elif batch.kind == "zenith angle":
+            elif batch.kind in ("zenith angle", "inclination"):
                 across = float(np.hypot(*(known[b][:2] - known[a][:2])))
                 if np.isfinite(across):
-                    slopes.setdefault((a, b), float(across / np.tan(value[0]) + up[i]))
+                    slopes.setdefault((a, b), float(across / np.tan(zenith[a, b]) + up[i]))
     return {**slopes, **levelled}

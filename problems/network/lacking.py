@@ -1,4 +1,4 @@
-"""The error of points that cannot be adjusted, with their names for a caller who wants to go on without them."""
+"""The errors of what cannot be adjusted, with its names for a caller who wants to go on without it."""
 
 from __future__ import annotations
 
@@ -13,3 +13,11 @@ class Lacking(InputError):
     def __init__(self, message: str, points: Sequence[str]):
         super().__init__(message)
         self.points = tuple(points)
+
+
+class Contradicting(InputError):
+    """Readings contradict all others by their unit; `groups` are their names."""
+
+    def __init__(self, message: str, groups: Sequence[str]):
+        super().__init__(message)
+        self.groups = tuple(groups)

@@ -10,6 +10,7 @@ import numpy as np
 from calib import GaussNewton, solve
 from calib.errors import CalibrationError, InputError
 from problems.network.declare import declare
+from problems.network.lacking import Contradicting
 from problems.network.start import positions
 from problems.network.survey import FIXED, Batch, Survey
 
@@ -21,8 +22,8 @@ SENSELESS, FAR_BETTER = 1e3, 1e-2      # variance factor of such a fit, and its 
 STEPS = 50        # with the right unit the fit needs few
 
 
-def contradicting_unit(survey: Survey, gross: Callable[[Survey], set[str]], before: int) -> str | None:
-    """A sentence naming the group of readings whose unit contradicts all others, or None.
+def contradicting_unit(survey: Survey, gross: Callable[[Survey], set[str]], before: int) -> Contradicting | None:
+    """What is wrong where the unit of a group of readings contradicts all others, or None.
 
     survey: whose points start from the readings alone; gross: points of a placed survey that its readings miss grossly;
     before: their number as the readings stand.
@@ -33,11 +34,11 @@ def contradicting_unit(survey: Survey, gross: Callable[[Survey], set[str]], befo
         except InputError:
             continue
         if left <= FITS * before:
-            return _sentence(group, factor)
+            return _named(group, factor)
     return None
 
 
-def fitting_unit(survey: Survey, objective: float, dof: int) -> str | None:
+def fitting_unit(survey: Survey, objective: float, dof: int) -> Contradicting | None:
     """The same for a survey whose adjustment fits nothing (objective: its v'Pv; dof): with one other unit it fits."""
     readings = sum(len(batch) for batch in survey.every_batch)
     if dof <= 0 or objective < SENSELESS * dof or readings > LARGEST or survey.sightings or survey.ranging:
@@ -45,15 +46,16 @@ def fitting_unit(survey: Survey, objective: float, dof: int) -> str | None:
     for group, factor, changed in _suspicions(survey):
         try:
             if solve(declare(positions(changed)), GaussNewton(iterations=STEPS)).objective < FAR_BETTER * objective:
-                return _sentence(group, factor)
+                return _named(group, factor)
         except CalibrationError:
             continue
     return None
 
 
-def _sentence(group: Batch, factor: float) -> str:
-    return (f"the readings '{group.group or group.kind}' are {1 / factor:.4g} times what all others say: multiplied by "
-            f"{factor:.4g} they fit; correct the unit of their column")
+def _named(group: Batch, factor: float) -> Contradicting:
+    name = group.group or group.kind
+    return Contradicting(f"the readings '{name}' are {1 / factor:.4g} times what all others say: multiplied by "
+                         f"{factor:.4g} they fit; correct the unit of their column", [name])
 
 
 def _suspicions(survey: Survey) -> Iterator[tuple[Batch, float, Survey]]:

@@ -2,8 +2,8 @@
 
 A point has the coordinates of its network: (x, y), (z) or (x, y, z); a plane reading uses the first two, a height the
 last. `sense` is +1 where readings of circles and the axes x, y turn the same way, else -1; `north` is the angle from
-the axis x to north in the sense of the circles. Slots: `distance`, `circle`, `zenith`, `height`, and `standpoint`, the
-place where the instrument really stands.
+the axis x to north in the sense of the circles. Slots: `distance`, `circle`, `zenith`, `height`, `inclination`, `bar`,
+and `standpoint`, the place where the instrument really stands.
 """
 
 from __future__ import annotations
@@ -25,6 +25,11 @@ def _across(station: Any, target: Any) -> tuple[Any, Any, Any]:
 
 def _upwards(station: Any, target: Any, station_height: Any, target_height: Any) -> Any:
     return target[-1] + target_height - station[-1] - station_height
+
+
+def _steepness(station: Any, target: Any, length: Any) -> Any:
+    """Tangent of the elevation of a target; none in a plane network."""
+    return (target[2] - station[2]) / length if station.shape[0] == 3 else 0.0
 
 
 def _bearing(station: Any, target: Any, sense: Any) -> Any:
@@ -55,7 +60,9 @@ def direction(station: Any, target: Any, orientation: Any, sense: Any, *, circle
               standpoint: Any = direct) -> Any:
     """Reading of a horizontal circle [rad]; orientation: angle from the axis x to its zero [rad]."""
     station = standpoint(station)
-    return circle(_bearing(station, target, sense) - orientation, length=_across(station, target)[2])
+    length = _across(station, target)[2]
+    return circle(_bearing(station, target, sense) - orientation, length=length,
+                  steepness=_steepness(station, target, length))
 
 
 def angle(station: Any, back: Any, target: Any, sense: Any, *, circle: Any = direct,
@@ -78,6 +85,20 @@ def zenith_angle(station: Any, target: Any, station_height: Any, target_height: 
     length = _across(station, target)[2]
     up = _upwards(station, target, station_height, target_height)
     return zenith(atan2(length, up), length=sqrt(length**2 + up**2))
+
+
+def elevation_angle(station: Any, target: Any, station_height: Any, target_height: Any, *,
+                    inclination: Any = direct) -> Any:
+    """Inclination [rad] of the line from instrument to target against the horizontal, positive upwards."""
+    length = _across(station, target)[2]
+    up = _upwards(station, target, station_height, target_height)
+    return inclination(atan2(up, length), length=sqrt(length**2 + up**2))
+
+
+def bar_length(station: Any, target: Any, *, bar: Any = direct) -> Any:
+    """Calibrated length [m] between two marks of a scale bar."""
+    length = sqrt(_across(station, target)[2] ** 2 + _upwards(station, target, 0.0, 0.0) ** 2)
+    return bar(length, length=length)
 
 
 def height_difference(station: Any, target: Any, *, height: Any = direct) -> Any:
@@ -135,6 +156,8 @@ KINDS = {
     "angle": Kind(angle, 3, ("sense",), angular=True),
     "azimuth": Kind(azimuth, 2, ("sense", "north"), angular=True),
     "zenith angle": Kind(zenith_angle, 2, HEIGHTS, needs="xyz", angular=True),
+    "inclination": Kind(elevation_angle, 2, HEIGHTS, needs="xyz", angular=True),
+    "scale bar": Kind(bar_length, 2, needs="xyz"),
     "height difference": Kind(height_difference, 2, needs="z"),
     "vector": Kind(vector, 2, HEIGHTS, ("dx", "dy", "dz"), "xyz"),
     "coordinates": Kind(coordinates, 1, (), ("x", "y", "z"), "xyz"),

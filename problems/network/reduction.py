@@ -2,35 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from calib import Gaussian
+from calib import Gaussian, linearise, solve
 from calib.errors import InputError
+from problems.network.blunders import worst_reading
 from problems.network.checks import checked, started
+from problems.network.declare import declare
 from problems.network.frames import labels
-from problems.network.lacking import Lacking
+from problems.network.lacking import Contradicting, Lacking
+from problems.network.measures import fitting_unit
 from problems.network.stations import Ranging, Sightings
 from problems.network.survey import Batch, Correlated, Survey
 
+LEAVE_OUT = {"unreadable": "rows of tables with a cell that is empty, NaN or no number",
+             "duplicated": "contradicting coordinates of a point that is listed twice",
+             "lacking": "points, epochs of frames and parts that lack readings, readings to ids that do not exist",
+             "contradicting": "readings of a table in another unit than the others",
+             "blunders": "readings that no random error explains, worst first"}
+MOST = 50        # readings that are left out as blunders, one after the other; with more, something else is wrong
 
-def reduced(survey: Survey) -> Survey:
-    """The survey without points that lack readings and without parts that nothing joins, ready to be declared.
 
-    Every reading of a point that is left out goes with it; the remarks say which, and why.
-    Raises InputError where nothing is left, or something else is wrong.
+def reduced(survey: Survey, allowed: Collection[str] = ("lacking",)) -> Survey:
+    """The survey without what may be left out of it, ready to be declared.
+
+    allowed: of `LEAVE_OUT`; the remarks say what was left out, and why: points with all their readings, readings of one
+    group, single readings. Raises InputError where nothing is left, or something else is wrong.
     """
+    count = 0
     while True:
         try:
-            return started(checked(survey))
+            placed = started(checked(survey))
+            found = _misfitting(placed, allowed) if count < MOST else None
+            if found is None:
+                return placed
+            survey, count = found, count + 1
         except Lacking as error:
+            if "lacking" not in allowed or not error.points:
+                raise
             remark = f"Left out with all {'its' if len(error.points) == 1 else 'their'} readings: {error}."
             survey = replace(without(survey, set(error.points)), remarks=(*survey.remarks, remark))
             if not survey.read:
                 raise InputError(f"nothing is left of the network: {error}") from None
+        except Contradicting as error:
+            if "contradicting" not in allowed:
+                raise
+            survey = _without_groups(survey, error)
+
+
+def _misfitting(survey: Survey, allowed: Collection[str]) -> Survey | None:
+    """The survey without readings of another unit, or without its worst blunder, where these may be left out."""
+    if not {"contradicting", "blunders"} & set(allowed):
+        return None
+    estimate = solve(declare(survey))
+    if "contradicting" in allowed and (error := fitting_unit(survey, estimate.objective, estimate.dof)):
+        return _without_groups(survey, error)
+    worst = worst_reading(linearise(estimate)) if "blunders" in allowed else None
+    if worst is None:
+        return None
+    group, row, sentence = worst
+    return replace(without_rows(survey, {row}, group), remarks=(*survey.remarks, f"Left out: {sentence}"))
+
+
+def _without_groups(survey: Survey, error: Contradicting) -> Survey:
+    batches = [batch for batch in survey.batches if (batch.group or batch.kind) not in error.groups]
+    rest = replace(survey, batches=batches, remarks=(*survey.remarks, f"Left out with all its readings: {error}."))
+    if not rest.read:
+        raise InputError(f"nothing is left of the network: {error}") from None
+    return rest
 
 
 def without(survey: Survey, names: set[str]) -> Survey:
@@ -50,9 +93,20 @@ def without(survey: Survey, names: set[str]) -> Survey:
         if key not in names and (not point.frame or key in reduced_to.read)})
 
 
-def without_rows(survey: Survey, rows: set[int]) -> Survey:
-    """The survey without the readings in some rows of a file that numbers all its readings."""
-    return _reading(survey, lambda batch: ~np.isin(batch.numbers, list(rows)))
+def without_rows(survey: Survey, rows: set[int], group: str | None = None) -> Survey:
+    """The survey without the readings in some rows: of a group, or of a file that numbers all its readings."""
+    def stays(numbers: np.ndarray, name: str) -> np.ndarray:
+        return ~np.isin(numbers, list(rows)) if group in (None, name) else np.ones(len(numbers), bool)
+
+    rest = _reading(survey, lambda batch: stays(batch.numbers, batch.group or batch.kind))
+    if group is None:
+        return rest
+    return replace(rest, sightings=[_rows(one, stays(_numbers(one), one.group)) for one in rest.sightings],
+                   ranging=[_rows(one, stays(_numbers(one), one.group)) for one in rest.ranging])
+
+
+def _numbers(one: Sightings | Ranging) -> np.ndarray:
+    return np.arange(1, len(one.target) + 1) if one.rows is None else np.asarray(one.rows)
 
 
 def _reading(survey: Survey, stays: Callable[[Batch], np.ndarray]) -> Survey:
@@ -100,7 +154,6 @@ def _members(cluster: Correlated, stays: list[bool]) -> Correlated:
 
 def _rows(one: Any, keep: np.ndarray) -> Any:
     assert isinstance(one, (Sightings, Ranging))
-    rows = np.arange(1, len(keep) + 1) if one.rows is None else one.rows
     who = "station" if isinstance(one, Sightings) else "instrument"
     # Three numbers are those of range and circles, whatever the number of rows.
     u: Any = one.u
@@ -108,4 +161,4 @@ def _rows(one: Any, keep: np.ndarray) -> Any:
         u = _uncertainty(u, keep)
     return replace(one, **{who: _column(getattr(one, who), keep)}, target=_column(one.target, keep),
                    epoch=_column(one.epoch, keep), covariates=_covariates(one.covariates, keep),
-                   readings=_column(one.readings, keep), u=u, rows=np.asarray(rows)[keep])
+                   readings=_column(one.readings, keep), u=u, rows=_numbers(one)[keep])

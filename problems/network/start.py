@@ -18,6 +18,8 @@ from problems.network.plane import Frame, laid_onto
 from problems.network.stations import spread
 from problems.network.survey import Survey
 
+RANGES = {"distance", "slope distance", "scale bar"}
+
 
 @dataclass
 class Sketch:
@@ -64,7 +66,7 @@ def grown(survey: Survey) -> dict[str, np.ndarray]:
     parts = survey.parts
     known = {key: np.array(point.position, float) for key, point in survey.points.items()}
     if any(_missing(survey, part) for part in parts):
-        if not survey.sightings and {b.kind for b in survey.every_batch} <= {"distance", "slope distance"}:
+        if not survey.sightings and {b.kind for b in survey.every_batch} <= RANGES:
             known.update(ranges.scaled(survey, known))
         else:
             _grow(survey, known, parts)
@@ -118,7 +120,7 @@ def sketch(survey: Survey, known: dict[str, np.ndarray]) -> Sketch:
             elif batch.kind == "vector":
                 found.vectors[a, b] = complex(value[0], survey.sense * value[1])
                 found.vectors[b, a] = -found.vectors[a, b]
-            elif batch.kind == "slope distance" and (a, b) not in found.lengths:
+            elif batch.kind in ("slope distance", "scale bar") and (a, b) not in found.lengths:
                 up = batch.heights("target_height")[i] - batch.heights("station_height")[i]
                 rise = known[b][2] - known[a][2] + up
                 if (a, b) in zenith:

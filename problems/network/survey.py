@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,9 @@ from calib.units import gon
 from problems.network.frames import RigidFrame
 from problems.network.models import KINDS, Kind
 from problems.network.stations import Ranging, Sightings
+
+if TYPE_CHECKING:
+    from problems.network.tilts import Tilts
 
 Array = NDArray[np.float64]
 LEFT_HANDED, RIGHT_HANDED = ("ne", "sw", "es", "wn"), ("en", "nw", "se", "ws")
@@ -120,7 +123,7 @@ class Survey:
 
     points: {key: Point}; batches; correlated: clusters of mixed readings; sightings, ranging: of stations with six
     degrees of freedom and of instruments that read ranges alone; axes: directions of x and y, as "ne";
-    frames: bodies that points belong to, where they stand and how they move;
+    tilts: of inclinometers; frames: bodies that points belong to, where they stand and how they move;
     clockwise: whether circles count clockwise; remarks: sentences about what was left out, and why.
     a_posteriori: whether the file wants its uncertainties multiplied by the root of the variance factor; tolerance:
     misfit [m] beyond which the file wants readings left out, None where it does not say.
@@ -131,6 +134,7 @@ class Survey:
     correlated: Sequence[Correlated] = ()
     sightings: Sequence[Sightings] = ()
     ranging: Sequence[Ranging] = ()
+    tilts: Sequence[Tilts] = ()
     frames: Sequence[RigidFrame] = ()
     axes: str = "ne"
     clockwise: bool = True
