@@ -146,7 +146,8 @@ def test_few_readings_get_a_verdict_that_says_how_little_it_means(discover, case
 
 
 @pytest.mark.parametrize(("mark", "words"),
-                         [("fit", "No row is marked `check`"), ("check", "Every row is marked `check`")])
+                         [("fit", "No row is marked `check`"), ("check", "Every row is marked `check`"),
+                          ("later", "'later', which is neither `fit` nor `check`")])
 def test_where_nothing_can_be_held_out_the_gap_is_judged_on_the_fit_and_that_is_said(discover, case, mark, words):
     found = json.loads(discover(rows_changed(case, with_cell("split", mark)), "--json").out)
     assert found["heldout_rms"] is None

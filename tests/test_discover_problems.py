@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from casadi import vertcat
 from command import runner
 from shipped import modules
 
 import calib
-from calib import linearise, simulate
+from calib import Effect, Observations, Parameter, Problem, Rotation, direct, linearise, simulate
 from calib.units import arcsec, hour
 from calib.workflow.discrepancy.answer import answer
 from calib.workflow.discrepancy.conclusion import Explanation
@@ -92,6 +93,37 @@ def test_the_first_picture_is_drawn_against_what_drives_the_effect(found):
     on = first.keys == first.keys[0]
     slope = [abs(np.polyfit(first.x[on], y[on], 1)[0]) for y in (first.before, first.after)]
     assert slope[0] > 5 * slope[1]
+
+
+def test_structure_that_the_second_face_turns_round_is_drawn_the_right_way_round():
+    problem = axis_points.example(1)
+    seen = problem.observations[0]
+    known = {a.name: a.data for a in seen.arguments}
+    wave = 3 * arcsec * np.cos(4 * known["angle"]) * known["face"]
+    whole = np.asarray(seen.readings) + np.stack([np.zeros(len(wave)), wave.ravel()], axis=1)
+    found = calib.explain(problem.with_readings({seen.group: whole}))
+    assert found.verdict == "unknown-structure"
+    first = pictures(Shown(found), 1)[0]
+    assert "turned with the face" in first.caption
+    assert np.corrcoef(first.before, np.cos(4 * np.radians(first.x)))[0, 1] > 0.8
+
+
+def test_a_rotation_that_an_effect_turns_is_said_to_move():
+    turn = Rotation("turn")
+    points = np.random.default_rng(6).normal(size=(40, 3))
+
+    def seen(frame, point, *, spindle=direct):
+        return frame @ spindle(point)
+
+    late = (np.arange(40) >= 20).astype(float)
+    slip = Effect("slip", "spindle", lambda value, p, late: p.angle * late * vertcat(-value[1], value[0], 0),
+                  (Parameter("angle", "rad", (1e-4, 1e-1)),))
+    plan = Problem([Observations(seen, turn, points, readings=points, u=1e-3, group="points",
+                                 covariates={"late": late})], effects=[slip])
+    found = calib.explain(simulate(plan, {plan.parameters("slip (spindle)"): np.array([[0.02]])}, 1))
+    assert [e.name for e in found.effects] == ["slip"]
+    moved = {r.name: r for r in Shown(found).results}
+    assert abs(moved["turn.z"].after[0] - moved["turn.z"].before[0] + 0.01) < 4 * moved["turn.z"].after[1] + 0.002
 
 
 def test_the_alias_map_has_ones_on_its_diagonal_and_the_named_effect_first(found):

@@ -48,12 +48,12 @@ def discover(
     read = Job.read(job, data_folder)
     module = catalogue.module(read.problem, problem_file)
     problem = declared(read, module)
-    grown, remarks, more = "", tuple[str, ...](), dict[str, Any]()
+    grown, more = "", dict[str, Any]()
     if growing:
-        problem, grown, remarks, more = _grown(read, module, problem, output)
-    check, remark = held_out_rows(read, problem)
+        problem, grown, more = _grown(read, module, problem, output)
+    check, remarks = held_out_rows(read, problem)
     with output.progress(f"explaining {job.name}", 1) as step:
-        found = explain(problem, level, check, remarks=(*remarks, *((remark,) if remark else ())))
+        found = explain(problem, level, check, remarks=remarks)
         step()
     if grown:
         found = replace(found, sentence=f"{grown} Of what is left then: {found.sentence}")
@@ -64,6 +64,10 @@ def discover(
     content = {**answer(_name(read), found, shown), **more}
     output.result(content)
     say(output, found)
+    for gap in more.get("heldout", ()):
+        unit = "" if gap["unit"] == "1" else f" [{gap['unit']}]"
+        before, after = (numbers.plain(gap[which]) for which in ("before", "after"))
+        output.prose(f"Held out, {gap['quantity']}: {before} before, {after} after{unit}.")
     if empirical is not None:
         _say_kept(output, empirical)
     if output.folder is not None:
@@ -73,7 +77,7 @@ def discover(
         origin = provenance(sources(read, problem_file), typed())
         output.wrote(
             files.write_json(output.path("answer.json"), content),
-            discovery.write(_name(read), shown, origin, output.path("report.html")),
+            discovery.write(_name(read), shown, origin, output.path("report.html"), more),
         )
     return DONE
 
@@ -90,8 +94,8 @@ def _say_kept(output: Output, empirical: Empirical) -> None:
 
 def _grown(
     job: Job, module: ModuleType, problem: Problem, output: Output
-) -> tuple[Problem, str, tuple[str, ...], dict[str, Any]]:
-    """The grown problem, what was added in a sentence, what it brought as sentences and as content of the answer."""
+) -> tuple[Problem, str, dict[str, Any]]:
+    """The grown problem, what was added in a sentence, and what it brought as content of the answer."""
     from calib.analyse.covariance import covariance
     from calib.workflow.growth import blocks_of, grow
 
@@ -101,14 +105,12 @@ def _grown(
     if hasattr(module, "heldout"):
         gaps += module.heldout(job, growth.estimate)
     heldout = [{"quantity": name, "before": before, "after": after, "unit": unit} for name, before, after, unit in gaps]
-    words = [f"Held out, {name}: {numbers.plain(before)} before, {numbers.plain(after)} after"
-             f"{'' if unit == '1' else f' [{unit}]'}." for name, before, after, unit in gaps]
     fit = growth.estimate.fit
     effects = [label for one in growth.steps for label in one.effects]
     found = covariance(fit, *map(problem.parameters, effects)).displayed if effects else ()
     values = [{"name": name, "value": value, "u": u, "unit": unit} for name, value, u, unit in found]
     added = {"steps": files.plain(growth.steps), "values": values}
-    return growth.problem, growth.sentence, tuple(words), {"added": added, "heldout": heldout}
+    return growth.problem, growth.sentence, {"added": added, "heldout": heldout}
 
 
 def _name(job: Job) -> str:

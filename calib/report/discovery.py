@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,18 +26,22 @@ FEW = 6  # values of a covariate that are marked one by one
 LISTED = 30  # rows of a table that somebody reads
 
 
-def write(case: str, shown: Shown, provenance: Provenance, path: str | Path) -> Path:
+def write(
+    case: str, shown: Shown, provenance: Provenance, path: str | Path, more: Mapping[str, Any] | None = None
+) -> Path:
     """Write report.html, whole or not at all.
 
-    case: its name; shown: the explanation with what is shown of it; provenance: of the run; path: of the file.
+    case: its name; shown: the explanation with what is shown of it; provenance: of the run; path: of the file; more:
+    what was added beforehand or kept afterwards, as in answer.json (`added`, `heldout`, `empirical`).
     Returns the path.
     """
-    return files.write_text(path, html(case, shown, provenance))
+    return files.write_text(path, html(case, shown, provenance, more or {}))
 
 
-def html(case: str, shown: Shown, provenance: Provenance) -> str:
+def html(case: str, shown: Shown, provenance: Provenance, more: Mapping[str, Any]) -> str:
     """The page as text; arguments as for `write`."""
     found = shown.found
+    added, kept = more.get("added"), more.get("empirical")
     return render(
         "discovery.html.j2",
         title=case,
@@ -46,6 +51,15 @@ def html(case: str, shown: Shown, provenance: Provenance) -> str:
         good=found.verdict == "consistent",
         next_measurement=found.next_measurement,
         effects=_effects(found),
+        added=added and _values(added["values"]),
+        steps=added and Grid(["added", "rms of r/u on blocks left out"],
+                             [[one["name"], numbers.plain(one["rms"], 4)] for one in added["steps"]]),
+        left_out=added and Grid(["blocks left out", "before", "after", "unit"],
+                                [[one["quantity"], numbers.plain(one["before"], 4), numbers.plain(one["after"], 4),
+                                  one["unit"]] for one in more["heldout"]]),
+        kept=kept and _values(kept["parameters"]),
+        kept_gap=kept and f"With it: {_rms(kept)}.",
+        held_out=found.heldout_rms is not None,
         gap=_gap(shown),
         results=_results(shown),
         drawings=[Drawing.of(_before_and_after(one), f"gap {i}", one.caption)
@@ -73,6 +87,18 @@ def _effects(found: Explanation) -> Grid | None:
                          alias, Cell(one.plausibility, "prose") if one.plausibility else ""])
     header = ["effect", "parameter", "value", "u", "unit", "p(absent)", "cannot be told from", "size"]
     return Grid(header, rows).without_empty() if rows else None
+
+
+def _values(parameters: Sequence[Mapping[str, Any]]) -> Grid:
+    """Parameters as they stand in answer.json."""
+    return Grid(["parameter", "value", "u", "unit"], [[one["name"], *numbers.with_uncertainty(one["value"], one["u"]),
+                                                       one["unit"]] for one in parameters])
+
+
+def _rms(kept: Mapping[str, Any]) -> str:
+    held = kept["heldout_rms"]
+    text = f"rms of r/u {numbers.plain(kept['rms'], 4)}"
+    return text if held is None else f"{text}, on held-out readings {numbers.plain(held['after'], 4)}"
 
 
 def _gap(shown: Shown) -> Grid:

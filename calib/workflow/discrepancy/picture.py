@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from calib.linearisation import linearise
 from calib.workflow.discrepancy.conclusion import Explanation
 from calib.workflow.discrepancy.readings import Channel, channels
 from calib.workflow.discrepancy.shown import Shown
+from calib.workflow.discrepancy.structure import TURNED, sense_of
 
 MAPPED = 10  # candidates of the alias map
 CLASSES = 12  # of the values of a covariate
@@ -52,14 +53,20 @@ def pictures(shown: Shown, count: int) -> list[Picture]:
     drawn: dict[tuple[str, str], Picture] = {}
     for channel, label, x, unit, added in _betraying(shown, list(lines.values())):
         drawn.setdefault((channel.name, label), _picture(channel, label, x, unit, before, after, added))
-    wanted = [(p.channel.split(", ")[0], p.covariate) for p in (*found.structure, *found.where)]
+    wanted = [(p.channel, p.covariate) for p in (*found.structure, *found.where)]
     if not wanted and not drawn:
         wanted = [(name, covariate) for name, channel in lines.items() for covariate in _numeric(channel)][:1]
-    for name, covariate in wanted:
+    for place, covariate in wanted:
+        part, turned, setting = place.partition(TURNED)
+        name = part.split(", ")[0]
         if name in lines and covariate in _numeric(lines[name]):
             channel = lines[name]
-            drawn.setdefault((name, covariate), _picture(
-                channel, covariate, channel.covariates[covariate], channel.units.get(covariate, "1"), before, after))
+            sense = np.ones(len(before))
+            if turned:
+                sense[channel.places] = sense_of(channel.covariates[setting])
+            drawn.setdefault((name + turned + setting, covariate), _picture(
+                replace(channel, name=name + turned + setting), covariate, channel.covariates[covariate],
+                channel.units.get(covariate, "1"), before * sense, after * sense))
     return list(drawn.values())[:count]
 
 

@@ -14,6 +14,7 @@ from calib.observations import Observations
 from calib.problem import Problem
 
 ANGLES = ("angle", "command", "azimuth", "elevation")  # arguments of models that are angles, so that harmonics apply
+PLACES = ("position", "travel")  # arguments and covariates that are places along a guide
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ def _channel(
     for word, values in known.items():
         if not any(v.dtype.kind in "fiu" and np.array_equal(v, values[inside]) for v in covariates.values()):
             covariates[word] = values[inside]
-            units[word] = "rad" if word in ANGLES else "1"
+            units[word] = "rad" if word in ANGLES else "m" if word.startswith(PLACES) else "1"
     name = _name(group, component)
     time = covariates.get("time")
     order = np.arange(len(inside)) if time is None or time.dtype.kind not in "fiu" else np.argsort(time, kind="stable")

@@ -8,10 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from calib import units
-from calib.analyse.covariance import Covariance, covariance
+from calib.analyse.covariance import covariance
 from calib.analyse.score import Candidate, Field, candidates, field_of
 from calib.linearisation import Linearisation, linearise
-from calib.solve.estimate import Estimate
+from calib.problem import Problem
+from calib.unknown import Unknown
 from calib.workflow.discrepancy.conclusion import Explanation
 from calib.workflow.discrepancy.power import Detectable, detectable
 from calib.workflow.discrepancy.readings import parts
@@ -103,20 +104,26 @@ class Shown:
         found = self.found
         if found.after is found.before:
             return ()
-        first, second = _results(found.before, found.before), _results(found.before, found.after)
+        free = _shared(found.before.problem)
+        first, second = (covariance(linearise(one), *found.before.problem.quantities, *free)
+                         for one in (found.before, found.after))
+        # A rotation is told from the one before: its own numbers are steps from where it stands.
+        steps = [u.difference(found.after.values[u], found.before.values[u]).ravel() for u in free]
+        asked = len(first.values) - sum(map(len, steps))
+        changes = np.concatenate([second.values[:asked] - first.values[:asked], *steps])
         shown = []
         for i, (name, unit) in enumerate(zip(first.names, first.units, strict=True)):
-            scale = units.factor(unit)
-            pair = [(float(c.values[i] / scale), float(c.u[i] / scale)) for c in (first, second)]
+            scale, value = units.factor(unit), first.values[i]
+            pair = [(float(v / scale), float(u / scale))
+                    for v, u in ((value, first.u[i]), (value + changes[i], second.u[i]))]
             if pair[0][1] > 0:  # what is held moves nowhere
                 shown.append(Moved(name, unit, *pair))
         return tuple(shown)
 
 
-def _results(nominal: Estimate, estimate: Estimate) -> Covariance:
-    problem = nominal.problem
-    free = [u for u in problem.unknowns if not problem.is_held(u).all() and u.count <= MOST_INSTANCES]
-    return covariance(linearise(estimate), *problem.quantities, *free)
+def _shared(problem: Problem) -> list[Unknown]:
+    """Free unknowns that do not repeat often."""
+    return [u for u in problem.unknowns if not problem.is_held(u).all() and u.count <= MOST_INSTANCES]
 
 
 def _by_part(fit: Linearisation, redundancy: np.ndarray) -> dict[str, tuple[int, float, float]]:

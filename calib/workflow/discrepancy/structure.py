@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from calib.analyse.score import Field
 from calib.blocks import Array
 from calib.workflow.discrepancy.looks import corrected_each, effective_looks, smallest_tails, tails
-from calib.workflow.discrepancy.readings import Channel
+from calib.workflow.discrepancy.readings import PLACES, Channel
 
 HARMONICS = (1, 2, 3, 4, 5, 6)
 WAVES = (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)  # waves over the range of a covariate that is no angle
 TURNING = ("face",)  # settings of an instrument that turn the sense of its readings
-PLACES = ("position", "travel")  # covariates that are places along a guide
+TURNED = ", turned with the "  # between a channel and such a setting, in the name of a pattern
 SETTLING = (0.03, 0.07, 0.15, 0.3)  # of the time, in which something settles
 STEPS = 16  # parts of the time between which a step may be
 DEGREES = 5  # of the polynomials over one covariate
@@ -83,14 +83,19 @@ def _turns(channel: Channel) -> Iterator[tuple[str, Array]]:
     for name in TURNING:
         values = channel.covariates.get(name)
         if values is not None and values.dtype.kind in "fiu" and len(np.unique(values)) == 2:
-            yield name, np.where(values == values.max(), 1.0, -1.0)
+            yield name, sense_of(values)
+
+
+def sense_of(values: NDArray) -> Array:
+    """+1 at the larger of two values of a setting, -1 at the other."""
+    return np.where(values == values.max(), 1.0, -1.0)
 
 
 def _turned(
     parts: Sequence[tuple[str, NDArray, list[tuple[str, str, Array]]]], name: str, sense: Array
 ) -> list[tuple[str, NDArray, list[tuple[str, str, Array]]]]:
     """The same patterns over the same parts of a channel, turned with a setting."""
-    return [(f"{part}, turned with the {name}", inside,
+    return [(f"{part}{TURNED}{name}", inside,
              [(covariate, kind, columns * sense[inside, None]) for covariate, kind, columns in kinds])
             for part, inside, kinds in parts if len(np.unique(sense[inside])) == 2]
 
