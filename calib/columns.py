@@ -130,6 +130,11 @@ def text_of(value: float, unit: str | None) -> str:
         minutes, rest = divmod(thousandths, 60_000_000)
         degrees, minutes = divmod(minutes, 60)
         return f"{'-' if value < 0 else ''}{degrees}-{minutes:02d}-{rest / 1e6:09.6f}"
+    return repr(in_unit(value, unit))
+
+
+def in_unit(value: float, unit: str | None) -> float:
+    """An SI value in the unit of its column, degrees Celsius included; as it is where there is no unit."""
     if unit in CELSIUS:
-        return repr(float(value - 273.15))
-    return repr(float(units.from_si(value, unit)) if unit else float(value))
+        return float(value - 273.15)
+    return float(units.from_si(value, unit)) if unit else float(value)

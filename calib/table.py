@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calib import columns, files, units
 from calib.columns import Column
@@ -223,6 +224,29 @@ def shipped(name: str) -> Table:
     raises InputError where there is none of that name.
     """
     return Table.read(DATA / name)
+
+
+def written(source: str, content: Mapping[str, ArrayLike]) -> str:
+    """The text of a CSV file with some columns.
+
+    source: what the first line says of them.
+    content: {header: (n,)}, such as "x_mm" or "temp_C"; numbers [SI] go into the unit of the header, ten digits of
+        each; texts and whole numbers stay as they are.
+    return: the text.
+    """
+    cells = [_cells(columns.column(header), np.asarray(values)) for header, values in content.items()]
+    return files.csv_text(list(content), list(zip(*cells, strict=True)), source)
+
+
+def xyz_mm(places: ArrayLike) -> dict[str, np.ndarray]:
+    """The columns x_mm, y_mm, z_mm of some places (n, 3) [m], for `written`."""
+    return dict(zip(("x_mm", "y_mm", "z_mm"), np.asarray(places, float).T, strict=True))
+
+
+def _cells(column: Column, values: np.ndarray) -> list[str]:
+    if values.dtype.kind != "f":
+        return [str(value) for value in values]
+    return [f"{columns.in_unit(value, column.unit):.10g}" for value in values]
 
 
 def _decoded(path: Path, encoding: str) -> str:

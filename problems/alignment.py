@@ -20,7 +20,8 @@ from calib.errors import InputError
 from calib.geometry import Transform, rotation_from_rpy
 from calib.scene import Points, Scene, Shape, Sights
 from calib.solve.globally import rotation as alignment
-from calib.units import arcsec, hour, minute, mm, ppm, um
+from calib.table import written, xyz_mm
+from calib.units import arcsec, hour, kelvin_from_celsius, minute, ppm, um
 from instruments import influence, laser_tracker
 from problems import measured_points
 from problems.recorded import recorded
@@ -275,18 +276,16 @@ def example(seed: int) -> Problem:
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job with the readings of `example`: {file name: text}."""
     measured = example(seed).observations[0]
-    assert measured.readings is not None
-    part = [f"P{k + 1},{x / mm:.3f},{y / mm:.3f},{z / mm:.3f}" for k, (x, y, z) in enumerate(PART)]
-    given = (measured.covariates[name] for name in ("point", "time", "block", "temperature_difference"))
-    seen = [f"{name},{t / minute:.0f},{block},{20.0 + warmer:.3f},{x / mm:.5f},{y / mm:.5f},{z / mm:.5f}"
-            for name, t, block, warmer, (x, y, z) in zip(*given, measured.readings, strict=True)]
+    c = measured.covariates
+    part = {"point": np.array([*(f"P{k + 1}" for k in range(len(PART))), "tool"]),
+            **xyz_mm(np.vstack([PART, (0.6, 0.4, 0.9)]))}
+    seen = {"point": c["point"], "time_min": c["time"], "block": c["block"],
+            "temp_C": kelvin_from_celsius(20.0 + c["temperature_difference"]), **xyz_mm(measured.recorded)}
     return {
         "job.toml": 'problem = "problems.alignment"\n\n[data.part]\nfile = "part.csv"\n\n'
                     '[data.seen]\nfile = "seen.csv"\ninstrument = "tracker"\n\n'
                     '[instruments.tracker]\nkind = "laser_tracker"\nsigma_range_um = 4.0\nsigma_azimuth_arcsec = 1.5\n'
                     'sigma_zenith_arcsec = 1.5\n\n[options]\nu_points = "5 um"\n\n'
                     '[report]\nquantities = ["seen_from_part", "target"]\n',
-        "part.csv": "# source: simulated part with twelve points and a tool\npoint,x_mm,y_mm,z_mm\n"
-                    + "\n".join([*part, "tool,600.000,400.000,900.000"]) + "\n",
-        "seen.csv": f"# source: simulated, seed {seed}\npoint,time_min,block,temp_C,x_mm,y_mm,z_mm\n"
-                    + "\n".join(seen) + "\n"}
+        "part.csv": written("simulated part with twelve points and a tool", part),
+        "seen.csv": written(f"simulated, seed {seed}", seen)}

@@ -35,7 +35,7 @@ from calib import (
 from calib.errors import InputError
 from calib.job import Job
 from calib.scene import Points, Scene, Sights
-from calib.table import Table
+from calib.table import Table, written
 from calib.units import arcsec, degree, minute, mm, um
 from instruments import theodolite
 from problems.recorded import recorded
@@ -346,23 +346,18 @@ def example_job(seed: int) -> dict[str, str]:
     observations = example(seed).observations[0]
     known = {a.name: a.data[:, 0] for a in observations.arguments if a.unknown is None}
     c = observations.covariates
-    lines = [
-        "# source: simulated, three targets over half a turn, both faces, two set-ups",
-        "row,target,face,block,direction,angle_deg,time_min,H_deg,V_deg",
-    ]
-    for i, (h, v) in enumerate(np.asarray(observations.readings)):
-        face = 1 if known["face"][i] > 0 else 2
-        lines.append(
-            f"{i + 1},{c['target'][i]},{face},{c['block'][i]},{c['direction'][i]},{known['angle'][i] / degree:.1f},"
-            f"{c['time'][i] / minute:.1f},{h / degree % 360:.7f},{v / degree % 360:.7f}"
-        )
+    h, v = np.mod(observations.recorded, 2.0 * np.pi).T
+    circles = {"row": observations.rows, "target": c["target"], "face": np.where(known["face"] > 0, 1, 2),
+               "block": c["block"], "direction": c["direction"], "angle_deg": known["angle"], "time_min": c["time"],
+               "H_deg": h, "V_deg": v}
     places = {t: i for i, t in reversed(list(enumerate(c["target"])))}
     targets = "\n".join(
         f'[[known.targets]]\nid = "{t}"\nL = "{known["distance"][i] / mm:.1f} mm"\n'
         f'elevation = "{known["elevation"][i] / degree:.1f} deg"\n'
         for t, i in sorted(places.items())
     )
-    return {"job.toml": _JOB + targets, "circles.csv": "\n".join(lines) + "\n"}
+    return {"job.toml": _JOB + targets,
+            "circles.csv": written("simulated, three targets over half a turn, both faces, two set-ups", circles)}
 
 
 _JOB = """problem = "problems.axis_points"

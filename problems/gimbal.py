@@ -45,6 +45,7 @@ from calib.mechanism.relation import crossing
 from calib.mechanism.scene import axes_of
 from calib.mechanism.start import nearest_motion
 from calib.scene import Points, Scene, Sights
+from calib.table import written, xyz_mm
 from calib.units import arcsec, degree, mm
 from problems.recorded import recorded
 
@@ -220,13 +221,9 @@ def example_job(seed: int) -> dict[str, str]:
     """A runnable job with simulated readings: {file name: text}. seed: of the errors."""
     observations, (_, around, names) = example(seed).observations[0], plan()
     c = observations.covariates
-    lines = ["# source: simulated, camera on a two-axis gimbal",
-             ",".join(["C_deg,A_deg,target,right_arcsec,up_arcsec", *written_conditions(gimbal(), c, 0)])]
-    for i, reading in enumerate(observations.recorded):
-        lines.append(",".join([*(f"{c[axis][i] / degree:.4f}" for axis in "CA"), names[i],
-                               *(f"{v / arcsec:.3f}" for v in reading), *written_conditions(gimbal(), c, i).values()]))
-    standing = ["# source: simulated, surveyed targets", "target,x_mm,y_mm,z_mm",
-                *(f"{names[i]}," + ",".join(f"{v / mm:.4f}" for v in around[i]) for i in range(16))]
+    right, up = observations.recorded.T
+    images = {"C_deg": c["C"], "A_deg": c["A"], "target": names, "right_arcsec": right, "up_arcsec": up}
+    standing = {"target": names[:16], **xyz_mm(around[:16])}
     job = """problem = "problems.gimbal"
 
 [data.images]
@@ -238,7 +235,8 @@ file = "targets.csv"
 [options]
 u = "5 arcsec"
 """
-    return {"job.toml": job, "images.csv": "\n".join(lines) + "\n", "targets.csv": "\n".join(standing) + "\n"}
+    return {"job.toml": job, "targets.csv": written("simulated, surveyed targets", standing), "images.csv": written(
+        "simulated, camera on a two-axis gimbal", images | written_conditions(gimbal(), c))}
 
 
 def scene(job: Job, estimate: Estimate) -> Scene:

@@ -38,6 +38,7 @@ from calib.mechanism.inputs import other_quaternion_order
 from calib.mechanism.loop import leg_length, refuse_open
 from calib.mechanism.scene import placed
 from calib.scene import Points, Scene, Sights
+from calib.table import written
 from calib.units import mm, mrad, ppm, um, urad
 
 accepts = ("problems.hexapod",)
@@ -197,15 +198,11 @@ def example(seed: int) -> Problem:
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job with simulated readings: {file name: text}. seed: of the errors."""
     legs, poses = example(seed).observations[:2]
-    columns = observe.pose_columns(poses)
-    lines = ["# source: simulated, tracker on a hexapod's platform", "x_mm,y_mm,z_mm,qw,qx,qy,qz,"
-             + ",".join(f"leg{i + 1}_mm" for i in range(LEGS))]
-    for *pose, row in zip(*columns.values(), legs.recorded.reshape(-1, LEGS), strict=True):
-        cells = [f"{v / mm:.6f}" for v in pose[:3]] + [f"{v:.10f}" for v in pose[3:]] + [f"{v / mm:.6f}" for v in row]
-        lines.append(",".join(cells))
+    lengths = {f"leg{i + 1}_mm": length for i, length in enumerate(legs.recorded.reshape(-1, LEGS).T)}
+    table = written("simulated, tracker on a hexapod's platform", observe.written_poses(poses) | lengths)
     job = 'problem = "problems.hexapod"\n\n[data.poses]\nfile = "poses.csv"\n\n[options]\nu_position = "20 um"\n' \
           'u_orientation = "50 urad"\nu_leg = "2 um"\nu_joint = "0.5 mm"\nu_zero = "1 mm"\n'
-    return {"job.toml": job, "poses.csv": "\n".join(lines) + "\n"}
+    return {"job.toml": job, "poses.csv": table}
 
 
 def scene(job: Job, estimate: Estimate) -> Scene:

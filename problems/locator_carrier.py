@@ -10,7 +10,7 @@ Source: Li Chen, Fang Qiang, Li Jiangxiong 2010, article no. 1001-4551(2010)03-0
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -28,6 +28,7 @@ from calib.mechanism.scene import axes_of, placed
 from calib.mechanism.start import nearest_motion
 from calib.mechanism.tolerance import tolerances
 from calib.scene import Points, Scene, Sights
+from calib.table import written, xyz_mm
 from calib.units import mm, mrad, um
 
 accepts = ("problems.locator_carrier",)
@@ -226,11 +227,12 @@ def example_job(seed: int) -> dict[str, str]:
     """A runnable job with simulated readings: {file name: text}. seed: of the errors."""
     problem = example(seed)
     axes, points = (next(o.recorded for o in problem.observations if o.group == g) for g in ("axes", "targets"))
-    names = list(TARGETS)
-
-    def text(header: str, rows: Iterable[tuple[Any, ...]]) -> str:
-        lines = [",".join([*map(str, keys), *(f"{v / mm:.6f}" for v in values)]) for *keys, values in rows]
-        return "\n".join(["# source: simulated, tracker on a three-locator carrier", header, *lines]) + "\n"
+    setting, target = (part.ravel() for part in np.mgrid[:len(axes), :len(TARGETS)])
+    names = np.array(list(TARGETS))
+    tables = {"axes.csv": {"setting": np.arange(len(axes)) + 1,
+                           **{f"{axis}_mm": travel for axis, travel in zip(DRIVEN, axes.T, strict=True)}},
+              "targets.csv": {"setting": setting + 1, "target": names[target], **xyz_mm(points)},
+              "part.csv": {"target": names, **xyz_mm(list(TARGETS.values()))}}
     job = """problem = "problems.locator_carrier"
 
 [data.axes]
@@ -250,11 +252,8 @@ u_ball = "0.1 mm"
 u_zero = "0.1 mm"
 u_tilt = "0.2 mrad"
 """
-    travels = "setting," + ",".join(f"{axis}_mm" for axis in DRIVEN)
-    return {"job.toml": job, "axes.csv": text(travels, ((i + 1, v) for i, v in enumerate(axes))),
-            "targets.csv": text("setting,target,x_mm,y_mm,z_mm", (
-                (i // len(names) + 1, names[i % len(names)], v) for i, v in enumerate(points))),
-            "part.csv": text("target,x_mm,y_mm,z_mm", ((n, np.array(v)) for n, v in TARGETS.items()))}
+    source = "simulated, tracker on a three-locator carrier"
+    return {"job.toml": job, **{name: written(source, table) for name, table in tables.items()}}
 
 
 def scene(job: Job, estimate: Estimate) -> Scene:

@@ -26,6 +26,7 @@ from calib.mechanism.scene import measured
 from calib.mechanism.start import nearest_motion
 from calib.mechanism.tolerance import tolerances
 from calib.scene import Scene
+from calib.table import written, xyz_mm
 from calib.units import mm, um
 from problems.recorded import recorded
 
@@ -150,13 +151,9 @@ def example_job(seed: int) -> dict[str, str]:
     """A runnable job with simulated readings: {file name: text}. seed: of the errors."""
     observations = example(seed).observations[0]
     c = observations.covariates
-    lines = ["# source: simulated, tracking interferometer and three reflectors on the spindle",
-             ",".join(["X_mm,Y_mm,Z_mm,reflector,x_mm,y_mm,z_mm", *written_conditions(machine(), c, 0)])]
-    for i, reading in enumerate(observations.recorded):
-        lines.append(",".join(f"{c[a][i] / mm:.4f}" for a in "XYZ") + f",{c['reflector'][i]},"
-                     + ",".join([*(f"{v / mm:.7f}" for v in reading), *written_conditions(machine(), c, i).values()]))
-    mounted = ["# source: simulated", "reflector,x_mm,y_mm,z_mm",
-               *(f"{i + 1}," + ",".join(f"{v / mm:.3f}" for v in row) for i, row in enumerate(OFFSETS))]
+    points = {"X_mm": c["X"], "Y_mm": c["Y"], "Z_mm": c["Z"], "reflector": c["reflector"],
+              **xyz_mm(observations.recorded), **written_conditions(machine(), c)}
+    mounted = {"reflector": np.arange(len(OFFSETS)) + 1, **xyz_mm(OFFSETS)}
     job = """problem = "problems.machine_21"
 
 [data.points]
@@ -168,7 +165,8 @@ file = "offsets.csv"
 [options]
 u = "1 um"
 """
-    return {"job.toml": job, "points.csv": "\n".join(lines) + "\n", "offsets.csv": "\n".join(mounted) + "\n"}
+    return {"job.toml": job, "offsets.csv": written("simulated", mounted), "points.csv": written(
+        "simulated, tracking interferometer and three reflectors on the spindle", points)}
 
 
 def scene(job: Job, estimate: Estimate) -> Scene:

@@ -31,7 +31,8 @@ from calib.mechanism.relation import crossing, parallelism
 from calib.mechanism.scene import axes_of
 from calib.mechanism.start import place_of_points, places_on
 from calib.scene import Scene, Sights
-from calib.units import arcsec, degree, mm, um
+from calib.table import written, xyz_mm
+from calib.units import arcsec, degree, um
 
 accepts = ("problems.motion_simulator",)
 AXES = ("Y", "P", "R", "W", "Q")
@@ -187,16 +188,12 @@ def example(seed: int) -> Problem:
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job with simulated readings: {file name: text}. seed: of the errors."""
     on_seeker, on_target, seen = example(seed).observations
-    files = {"points.csv": ["# source: simulated, tracker on both tables of a five-axis simulator",
-                            ",".join(f"{a}_deg" for a in AXES) + ",reflector,x_mm,y_mm,z_mm"],
-             "sights.csv": ["# source: simulated, camera of the seeker",
-                            ",".join(f"{a}_deg" for a in AXES) + ",left_arcsec,up_arcsec"]}
-    for observations, name, unit in ((on_seeker, "points.csv", mm), (on_target, "points.csv", mm),
-                                     (seen, "sights.csv", arcsec)):
-        c = observations.covariates
-        for i, reading in enumerate(observations.recorded):
-            cells = [f"{c[a][i] / degree:.4f}" for a in AXES] + ([str(c["reflector"][i])] if "reflector" in c else [])
-            files[name].append(",".join([*cells, *(f"{v / unit:.5f}" for v in reading)]))
+    left, up = seen.recorded.T
+    sights = {**{f"{axis}_deg": seen.covariates[axis] for axis in AXES}, "left_arcsec": left, "up_arcsec": up}
+    both = (on_seeker, on_target)
+    points = {**{f"{axis}_deg": np.concatenate([table.covariates[axis] for table in both]) for axis in AXES},
+              "reflector": np.concatenate([table.covariates["reflector"] for table in both]),
+              **xyz_mm(np.vstack([table.recorded for table in both]))}
     job = """problem = "problems.motion_simulator"
 
 [data.points]
@@ -209,7 +206,8 @@ file = "sights.csv"
 u_point = "10 um"
 u_sight = "2 arcsec"
 """
-    return {"job.toml": job, **{name: "\n".join(lines) + "\n" for name, lines in files.items()}}
+    return {"job.toml": job, "sights.csv": written("simulated, camera of the seeker", sights),
+            "points.csv": written("simulated, tracker on both tables of a five-axis simulator", points)}
 
 
 def scene(job: Job, estimate: Estimate) -> Scene:

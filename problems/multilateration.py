@@ -35,7 +35,7 @@ from calib import (
 from calib.errors import InputError
 from calib.geometry import norm
 from calib.job import Job
-from calib.table import Table
+from calib.table import Table, written, xyz_mm
 from calib.units import mm, um
 from calib.unknown import Selection
 from instruments import interferometer
@@ -314,18 +314,11 @@ def example_job(seed: int) -> dict[str, str]:
     tracker, target = (truth.select(name).unknown for name in ("tracker", "target"))
     read = truth.observations[0]
     rough = np.random.default_rng(seed).normal(0.0, 1.0 * mm, target.ambient.shape)
-    rows = [f"{row},{t},{p},{d / mm:.5f}" for row, t, p, d in
-            zip(read.rows, read.covariates["tracker"], read.covariates["target"],
-                np.asarray(read.readings, float).ravel(), strict=True)]
-    return {"ranges.csv": "\n".join(["row,tracker,target,d_mm", *rows, ""]), "job.toml": EXAMPLE_JOB,
-            "trackers.csv": _table_of("tracker", tracker.keys, tracker.ambient[:, :3]),
-            "targets.csv": _table_of("target", target.keys, target.ambient + rough)}
-
-
-def _table_of(what: str, keys: Sequence[str], positions: Array) -> str:
-    """A table of positions (m, 3) [m] as text."""
-    rows = [",".join([key, *(f"{c / mm:.3f}" for c in place)]) for key, place in zip(keys, positions, strict=True)]
-    return "\n".join([f"{what},x_mm,y_mm,z_mm", *rows, ""])
+    ranges = {"row": read.rows, "tracker": read.covariates["tracker"], "target": read.covariates["target"],
+              "d_mm": read.recorded[:, 0]}
+    return {"ranges.csv": written(f"simulated, seed {seed}", ranges), "job.toml": EXAMPLE_JOB,
+            "trackers.csv": written("roughly", {"tracker": tracker.keys, **xyz_mm(tracker.ambient[:, :3])}),
+            "targets.csv": written("roughly", {"target": target.keys, **xyz_mm(target.ambient + rough)})}
 
 
 EXAMPLE_JOB = """problem = "problems.multilateration"

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from calib import Effect, Gaussian, Observations, Parameter, Problem, Quantity, Unknown, hands_slots_to, simulate
 from calib.errors import InputError
 from calib.job import Job
+from calib.table import written
 from calib.units import arcsec, degree, hour, minute
 from instruments import level
 from problems.recorded import recorded
@@ -192,19 +193,11 @@ def example(seed: int) -> Problem:
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job with simulated readings: {file name: text}. seed: of the errors."""
     observations = example(seed).observations[0]
-    assert observations.readings is not None
-    lines = [
-        "# source: simulated, two tables over 90 degrees, a known tilt applied half-way",
-        "table,setup,block,direction,angle_deg,time_min,reading_arcsec",
-    ]
     c = observations.covariates
     tilted = observations.arguments[1].data.any(axis=1)
     setup = np.where(~tilted, 1, np.where(c["table"] == "three-axis", 2, 3))
-    for i, reading in enumerate(observations.readings[:, 0]):
-        lines.append(
-            f"{c['table'][i]},{setup[i]},{c['block'][i]},{c['direction'][i]},{c['angle'][i] / degree:.1f},"
-            f"{c['time'][i] / minute:.1f},{reading / arcsec:.2f}"
-        )
+    level = {"table": c["table"], "setup": setup, "block": c["block"], "direction": c["direction"],
+             "angle_deg": c["angle"], "time_min": c["time"], "reading_arcsec": observations.recorded[:, 0]}
     job = """problem = "problems.plumb"
 
 [data.level]
@@ -230,4 +223,5 @@ setup = 3
 dtheta_x = "0 arcsec"
 dtheta_y = "40 arcsec"
 """
-    return {"job.toml": job, "level.csv": "\n".join(lines) + "\n"}
+    return {"job.toml": job,
+            "level.csv": written("simulated, two tables over 90 degrees, a known tilt applied half-way", level)}

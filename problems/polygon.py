@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from calib import Gaussian, Observations, Problem, Unknown, simulate
 from calib.errors import InputError
+from calib.table import written
 from calib.units import arcsec, minute
 from instruments.autocollimator import closure, effects, polygon_face
 from problems.recorded import recorded
@@ -133,13 +134,12 @@ def example(seed: int, faces: int = 12, starts: tuple[int, ...] = (1, 2, 5)) -> 
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job with the readings of `example`: {file name: text}."""
     seen = example(seed).observations[0]
-    assert seen.readings is not None
-    lines = [f"{k},{s},{s},{t / minute:.0f},{b},{r / arcsec:.3f}" for k, s, t, b, r in
-             zip(*(seen.covariates[name] for name in ("stop", "series", "time", "block")), seen.readings[:, 0])]
+    c = seen.covariates
+    readings = {"stop": c["stop"], "series": c["series"], "start_face": c["series"], "time_min": c["time"],
+                "block": c["block"], "reading_arcsec": seen.recorded[:, 0]}
     return {
         "job.toml": 'problem = "problems.polygon"\n\n[data.readings]\nfile = "readings.csv"\n'
                     'instrument = "collimator"\n\n[instruments.collimator]\nkind = "autocollimator"\n'
                     'u = "0.2 arcsec"\n\n[options]\nfaces = 12\n\n'
                     '[report]\nquantities = ["face", "table"]\n',
-        "readings.csv": f"# source: simulated, seed {seed}\nstop,series,start_face,time_min,block,reading_arcsec\n"
-                        + "\n".join(lines) + "\n"}
+        "readings.csv": written(f"simulated, seed {seed}", readings)}

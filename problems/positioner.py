@@ -54,6 +54,7 @@ from calib.mechanism.scene import measured
 from calib.mechanism.smooth import Smooth, distances, smooth_errors
 from calib.mechanism.start import misfit, world_and_target
 from calib.scene import Scene
+from calib.table import written
 from calib.units import degree, mm, mrad
 
 accepts = ("problems.positioner",)
@@ -300,13 +301,7 @@ def example_job(seed: int) -> dict[str, str]:
     """A runnable job with simulated measured poses: {file name: text}. seed: of the errors."""
     problem = example(seed)
     observations = problem.observations[0]
-    near = observations.arguments[3].data.reshape(-1, 3, 3).transpose(0, 2, 1)
-    lines = ["# source: simulated, camera on a two-axis positioner", "A_deg,C_deg,x_mm,y_mm,z_mm,qw,qx,qy,qz"]
-    for i, reading in enumerate(observations.recorded):
-        rotation = near[i] @ geometry.rotation_about(*_axis_and_angle(reading[3:]))
-        a, c = (observations.covariates[name][i] / degree for name in "AC")
-        place = ",".join(f"{value / mm:.5f}" for value in reading[:3])
-        lines.append(f"{a:.4f},{c:.4f},{place}," + ",".join(f"{value:.9f}" for value in observe.quaternion(rotation)))
+    positions = {f"{axis}_deg": observations.covariates[axis] for axis in "AC"}
     job = """problem = "problems.positioner"
 
 [data.poses]
@@ -317,12 +312,8 @@ u_position = "0.2 mm"
 u_orientation = "0.4 mrad"
 free = ["scale_A"]
 """
-    return {"job.toml": job, "poses.csv": "\n".join(lines) + "\n"}
-
-
-def _axis_and_angle(vector: np.ndarray) -> tuple[np.ndarray, float]:
-    angle = float(np.linalg.norm(vector))
-    return vector / angle, angle
+    return {"job.toml": job, "poses.csv": written("simulated, camera on a two-axis positioner",
+                                                  positions | observe.written_poses(observations))}
 
 
 def scene(job: Job, estimate: Estimate) -> Scene:

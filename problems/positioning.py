@@ -29,6 +29,7 @@ from calib import (
     simulate,
 )
 from calib.errors import InputError, RankDefect
+from calib.table import written
 from calib.units import arcsec, degree, hour, minute, ppm
 from instruments import encoder, influence
 from problems import two_way
@@ -205,13 +206,11 @@ def example(seed: int) -> Problem:
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job that asks for the figures of ISO 230-2 of the readings of `example`: {file name: text}."""
     seen = example(seed).observations[0]
-    assert seen.readings is not None
-    names = ("command", "time", "direction", "block")
-    lines = [f"{np.degrees(c):.0f},{np.degrees(r):.8f},{t / minute:.0f},{way},{b}"
-             for r, c, t, way, b in zip(seen.readings[:, 0], *(seen.covariates[name] for name in names))]
+    c = seen.covariates
+    readings = {"command_deg": c["command"], "measured_deg": seen.recorded[:, 0], "time_min": c["time"],
+                "direction": c["direction"], "block": c["block"]}
     return {
         "job.toml": 'problem = "problems.positioning"\n\n[data.readings]\nfile = "readings.csv"\n'
                     'instrument = "table"\n\n[instruments.table]\nu = "0.5 arcsec"\n\n[options]\nfigures = true\n\n'
                     '[report]\nquantities = ["A", "E", "M", "R", "B"]\n',
-        "readings.csv": f"# source: simulated, seed {seed}\ncommand_deg,measured_deg,time_min,direction,block\n"
-                        + "\n".join(lines) + "\n"}
+        "readings.csv": written(f"simulated, seed {seed}", readings)}

@@ -25,7 +25,8 @@ from calib.mechanism.relation import crossing
 from calib.mechanism.scene import measured
 from calib.mechanism.start import place_of_points
 from calib.scene import Scene
-from calib.units import arcsec, degree, mm, um
+from calib.table import written, xyz_mm
+from calib.units import arcsec, degree, um
 from problems.recorded import recorded
 
 accepts = ("problems.three_axis_turntable",)
@@ -144,14 +145,12 @@ def example_job(seed: int) -> dict[str, str]:
     problem = example(seed)
     observations = problem.observations[0]
     c = observations.covariates
-    lines = ["# source: simulated, tracker and three reflectors on a three-axis turntable",
-             ",".join(["C_deg,A_deg,B_deg,reflector,x_mm,y_mm,z_mm", *written_conditions(turntable(), c, 0)])]
-    for i, reading in enumerate(observations.recorded):
-        lines.append(",".join(f"{c[a][i] / degree:.6f}" for a in AXES) + f",{c['reflector'][i]},"
-                     + ",".join([*(f"{v / mm:.6f}" for v in reading), *written_conditions(turntable(), c, i).values()]))
+    points = {**{f"{axis}_deg": c[axis] for axis in AXES}, "reflector": c["reflector"],
+              **xyz_mm(observations.recorded), **written_conditions(turntable(), c)}
     job = 'problem = "problems.three_axis_turntable"\n\n[data.points]\nfile = "points.csv"\n\n[options]\nu = "5 um"\n' \
           'free = ["encoder_1x_C"]\n'
-    return {"job.toml": job, "points.csv": "\n".join(lines) + "\n"}
+    return {"job.toml": job,
+            "points.csv": written("simulated, tracker and three reflectors on a three-axis turntable", points)}
 
 
 def scene(job: Job, estimate: Estimate) -> Scene:

@@ -179,9 +179,9 @@ def test_calibration_on_lines_serves_better_than_self_calibration():
 def job_in(folder, known=False):
     files = dict(multilateration.example_job(3))
     if known:
-        header, *rows = files["targets.csv"].split("\n")[:-1]
+        source, header, *rows = files["targets.csv"].split("\n")[:-1]
         marked = [f"{row},{int(k < 8)}" for k, row in enumerate(rows)]
-        files["targets.csv"] = "\n".join([header + ",known", *marked, ""])
+        files["targets.csv"] = "\n".join([source, header + ",known", *marked, ""])
         files["job.toml"] += '[options]\nu_known = "1 mm"\n'
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")

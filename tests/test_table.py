@@ -9,7 +9,7 @@ import pytest
 
 from calib import columns, files
 from calib.errors import InputError
-from calib.table import DATA, Table, shipped
+from calib.table import DATA, Table, shipped, written, xyz_mm
 from calib.units import arcsec, degree, gon, mm
 
 
@@ -150,3 +150,15 @@ def test_json_keeps_full_precision_and_has_no_nan():
     assert repr(value) in read_back
     assert "NaN" not in read_back
     assert "Infinity" not in read_back
+
+
+def test_written_columns_read_back_in_si(tmp_path):
+    content = {"point": np.array(["A", "B"]), "block": np.array([1, 2]), "angle_deg": np.radians([30.0, -0.125]),
+               "temp_C": np.array([293.15, 294.4]), **xyz_mm([(0.1, 0.2, -0.3), (1.0, 2.0, 3.0)])}
+    (tmp_path / "points.csv").write_text(written("drawn", content))
+    assert (tmp_path / "points.csv").read_text().splitlines()[2] == "A,1,30,20,100,200,-300"
+    table = Table.read(tmp_path / "points.csv")
+    assert table.source == "drawn" and table.text("point").tolist() == ["A", "B"]
+    for header in ("angle_deg", "temp_C", "x_mm", "y_mm", "z_mm"):
+        column = columns.column(header)
+        assert table.number(column.name, column.dimension) == pytest.approx(content[header], rel=1e-9)

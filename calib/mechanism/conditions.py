@@ -11,6 +11,7 @@ from calib.effect import Effect
 from calib.mechanism.axis import COMPONENTS, Axis
 from calib.mechanism.chain import Mechanism
 from calib.mechanism.drive import backlash, thermal_growth, thermal_scale
+from calib.units import kelvin_from_celsius
 
 APPROACH = "{}_approach"        # column and covariate: +1 where the axis came from below, -1 from above, 0 unknown
 
@@ -37,11 +38,11 @@ def drawn_conditions(mechanism: Mechanism, count: int, seed: int) -> dict[str, n
     return drawn | {"temperature_difference": np.round(generator.uniform(-3.0, 3.0, count), 1)}
 
 
-def written_conditions(mechanism: Mechanism, covariates: Mapping[str, np.ndarray], row: int) -> dict[str, str]:
-    """Cells of a row of a table with the conditions of a simulated measurement: {header: text}."""
+def written_conditions(mechanism: Mechanism, covariates: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Columns of a table with the conditions of a simulated measurement: {header: (n,) SI}."""
     names = [APPROACH.format(axis.name) for axis in mechanism.axes]
-    return {**{name: f"{covariates[name][row]:.0f}" for name in names},
-            "temp_C": f"{20.0 + covariates['temperature_difference'][row]:.1f}"}
+    return {**{name: covariates[name] for name in names},
+            "temp_C": kelvin_from_celsius(20.0 + covariates["temperature_difference"])}
 
 
 def approaches(mechanism: Mechanism, table: Any) -> dict[str, np.ndarray]:

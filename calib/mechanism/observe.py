@@ -67,6 +67,11 @@ def pose_columns(observations: Observations, near: str = "near") -> dict[str, Ar
     return dict(zip(("x", "y", "z", "qw", "qx", "qy", "qz"), columns, strict=True))
 
 
+def written_poses(observations: Observations) -> dict[str, Array]:
+    """The columns of measured poses by the header of a file: {"x_mm", "y_mm", "z_mm", "qw", ...: (n,) SI}."""
+    return {name if name.startswith("q") else f"{name}_mm": v for name, v in pose_columns(observations).items()}
+
+
 @lru_cache(maxsize=256)
 def measured_point(pose: Model) -> Model:
     """Model of a measured point of a part, such as a reflector: `(world_from_base, positions, point) -> (3,)` [m]."""

@@ -34,12 +34,17 @@ def nearest_motion(points: ArrayLike, nominal: ArrayLike) -> Transform:
     """
     measured, designed = np.asarray(points, float), np.asarray(nominal, float)
     centre, middle = measured.mean(axis=0), designed.mean(axis=0)
-    spread = np.linalg.svd(designed - middle, compute_uv=False)
-    if len(designed) < 3 or not spread[1] > 1e-6 * spread[0]:
+    if len(designed) < 3 or _on_one_line(measured) or _on_one_line(designed):
         raise InputError("the points lie on one line, about which the mechanism may stand at any angle; measure points "
                          "off it.")
     rotation = nearest_rotation((measured - centre).T @ (designed - middle))
     return Transform(rotation, centre - rotation @ middle)
+
+
+def _on_one_line(points: Array) -> bool:
+    """Whether points (n, 3) spread in at most one direction; a point that is repeated spreads by rounding."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return not spread[1] > max(1e-6 * spread[0], 1e-12 * float(np.linalg.norm(points)))
 
 
 def world_and_target(rotations: ArrayLike, translations: ArrayLike, frame_rotations: ArrayLike,

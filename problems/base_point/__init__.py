@@ -16,6 +16,7 @@ import numpy as np
 from calib import Problem, simulate
 from calib.errors import InputError
 from calib.job import Job
+from calib.table import written, xyz_mm
 from calib.units import mm, um
 from calib.workflow.compare.formulation import Formulation
 from problems.base_point import algebraic, bound
@@ -140,11 +141,9 @@ def example_job(seed: int) -> dict[str, str]:
     run, zero, far = np.linspace(0.05, 0.75, 15), np.zeros(15), np.full(15, 0.75)
     points = np.vstack([np.column_stack((run, zero, zero)), np.column_stack((far, run, zero))])
     plan = declare(Lines(points, None, 0.5 * um), TiedStart(), sense=SHORTENING, begin=(-0.2, 1.4, -0.23))
-    readings = np.asarray(simulate(plan, None, seed).observations[0].readings, float).ravel()
-    rows = [f"{n},{'XY'[n > 15]},{x / mm:.4f},{y / mm:.4f},{z / mm:.4f},{d / mm:.4f}"
-            for n, ((x, y, z), d) in enumerate(zip(points, readings, strict=True), start=1)]
-    return {"lines.csv": "\n".join(["# source: simulated", "row,line,x_mm,y_mm,z_mm,d_mm", *rows, ""]),
-            "job.toml": EXAMPLE_JOB}
+    read = simulate(plan, None, seed).observations[0]
+    table = {"row": read.rows, "line": np.repeat(["X", "Y"], 15), **xyz_mm(points), "d_mm": read.recorded[:, 0]}
+    return {"lines.csv": written(f"simulated, seed {seed}", table), "job.toml": EXAMPLE_JOB}
 
 
 EXAMPLE_JOB = """problem = "problems.base_point"

@@ -32,7 +32,8 @@ from calib import (
 from calib.analyse.shapes import scene as follows
 from calib.geometry import cross, dot, unit
 from calib.scene import Points, Scene, Track
-from calib.units import arcsec, degree, hour, minute, mm, um
+from calib.table import written, xyz_mm
+from calib.units import arcsec, degree, hour, minute, um
 from instruments import influence, laser_tracker
 from problems import measured_points
 from problems.circle import algebraic, alternatives
@@ -174,12 +175,13 @@ def example(seed: int) -> Problem:
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job with the points of `example_points`: {file name: text}."""
     points, _ = example_points(seed)
-    lines = [f"{k + 1},{30 * k},{x / mm:.5f},{y / mm:.5f},{z / mm:.5f}" for k, (x, y, z) in enumerate(points)]
+    i = np.arange(len(points))
+    table = {"i": i + 1, "command_deg": i * 30 * degree, **xyz_mm(points)}
     return {
         "job.toml": 'problem = "problems.circle"\n\n[data.points]\nfile = "points.csv"\ninstrument = "tracker"\n\n'
                     '[instruments.tracker]\nkind = "laser_tracker"\nsigma_range_um = 2.0\nsigma_azimuth_arcsec = 1.0\n'
                     'sigma_zenith_arcsec = 1.0\n\n[report]\nquantities = ["centre", "radius", "angle"]\n',
-        "points.csv": f"# source: simulated, seed {seed}\ni,command_deg,x_mm,y_mm,z_mm\n" + "\n".join(lines) + "\n"}
+        "points.csv": written(f"simulated, seed {seed}", table)}
 
 
 def scene(job: Job, estimate: Estimate) -> Scene:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calib import Observations, Pose, Problem, Shared, geometry, simulate
 from calib.mechanism import Frame, Linear, Mechanism, Rotary, location_errors, observe, tabulated
+from calib.table import written, xyz_mm
 from calib.units import arcsec, degree, mm, um
 
 STAND = Mechanism("stand", axes=[Linear("X", (1, 0, 0), limits=(-0.4, 0.4)),
@@ -30,30 +32,28 @@ def job_files(seed: int) -> dict[str, str]:
         q = np.random.default_rng(17).uniform([-0.4, -3.1, -tilt], [0.4, 3.1, tilt], (count, 3))
         return np.round(q / (mm, degree, degree), 3) * (mm, degree, degree)
 
-    def table(rows: np.ndarray, name: str, header: str, model: Any, arguments: Sequence[Any], names: np.ndarray,
-              unit: float, u: float) -> str:
+    def table(rows: np.ndarray, source: str, names: Mapping[str, ArrayLike], headers: Sequence[str], model: Any,
+              arguments: Sequence[Any], u: float) -> str:
         problem = Problem([Observations(model, *arguments, u=u, group="r")], effects=location_errors(STAND))
         truth = {problem.parameters(label).name: [[value]] for label, value in TRUTH.items()}
-        readings = simulate(problem, truth, int(generator.integers(1 << 31))).observations[0].recorded / unit
-        lines = [f"{q[0] / mm:.3f},{q[1] / degree:.3f},{q[2] / degree:.3f}," + ",".join(n) + ","
-                 + ",".join(f"{v:.6f}" for v in reading) for q, n, reading in zip(rows, names, readings, strict=True)]
-        return "\n".join([f"# source: simulated, {name}", f"X_mm,C_deg,A_deg,{header}", *lines]) + "\n"
+        readings = simulate(problem, truth, int(generator.integers(1 << 31))).observations[0].recorded
+        return written(f"simulated, {source}", {**dict(zip(("X_mm", "C_deg", "A_deg"), rows.T, strict=True)), **names,
+                                                **dict(zip(headers, readings.T, strict=True))})
     q, bars, slow = drawn(45), drawn(60), drawn(24, 0.6)
     at, stations = np.arange(45) % 3, np.arange(60) % 2
     level = np.arange(24) % 2
     files = {"axes.csv": tabulated.write_axes(STAND, "source: designed"), "points.csv": table(
-        q, "tracker", "point,x_mm,y_mm,z_mm", observe.measured_point(pose),
-        (base, q, np.array(list(POINTS.values()))[at]), np.array(list(POINTS))[at][:, None], mm, 10 * um)}
+        q, "tracker", {"point": np.array(list(POINTS))[at]}, ("x_mm", "y_mm", "z_mm"), observe.measured_point(pose),
+        (base, q, np.array(list(POINTS.values()))[at]), 10 * um)}
     files["distances.csv"] = table(
-        bars, "ball bar", "station,point,distance_mm", observe.measured_distance(pose),
-        (np.array([PLACES["S1"], PLACES["S2"]])[stations], bars, Shared(PLACES["E1"])),
-        np.stack([np.array(["S1", "S2"])[stations], np.full(60, "E1")], axis=1), mm, 2 * um)
+        bars, "ball bar", {"station": np.array(["S1", "S2"])[stations], "point": np.full(60, "E1")}, ("distance_mm",),
+        observe.measured_distance(pose),
+        (np.array([PLACES["S1"], PLACES["S2"]])[stations], bars, Shared(PLACES["E1"])), 2 * um)
     files["levels.csv"] = table(
-        slow, "levels", "level,inclination_arcsec", observe.level_on(pose),
+        slow, "levels", {"level": np.array(["L1", "L2"])[level]}, ("inclination_arcsec",), observe.level_on(pose),
         (slow, np.array([PLACES["L1"], PLACES["L2"]])[level], Shared([0.0, 0.0, -1.0]), Shared(0.0)),
-        np.array(["L1", "L2"])[level][:, None], arcsec, 1 * arcsec)
-    files["places.csv"] = "# source: roughly\nname,x_m,y_m,z_m\n" + "".join(
-        f"{name}," + ",".join(str(v) for v in place) + "\n" for name, place in PLACES.items())
+        1 * arcsec)
+    files["places.csv"] = written("roughly", {"name": np.array(list(PLACES)), **xyz_mm(list(PLACES.values()))})
     instruments = {"points": "tracker", "distances": "bar", "levels": "level", "places": "", "axes": ""}
     data = "".join(f'[data.{kind}]\nfile = "{kind}.csv"\n' + (f'instrument = "{one}"\n\n' if one else "\n")
                    for kind, one in instruments.items())

@@ -31,7 +31,8 @@ from calib.errors import InputError
 from calib.geometry import cross
 from calib.job import MEASUREMENTS
 from calib.scene import Points, Scene, Sights
-from calib.units import arcsec, degree, minute, mm, um
+from calib.table import written
+from calib.units import arcsec, degree, kelvin_from_celsius, um
 from instruments import laser_tracker
 from problems import measured_points
 from problems.circle import algebraic, in_plane
@@ -237,18 +238,16 @@ def example(seed: int) -> Problem:
 def example_job(seed: int) -> dict[str, str]:
     """A runnable job that asks for the positioning error of every stop of the table of `example`: {file name: text}."""
     seen = example(seed).observations[0]
-    assert seen.readings is not None
-    names = ("command", "reflector", "time", "direction", "temperature_difference", "block")
-    lines = [f"{np.degrees(c):.0f},{s},{t / minute:.1f},{way},{20.0 + warmer:.3f},{b},"
-             f"{r / mm:.5f},{np.degrees(az):.7f},{np.degrees(ze):.7f}"
-             for c, s, t, way, warmer, b, (r, az, ze) in zip(*(seen.covariates[k] for k in names), seen.readings)]
-    header = "command_deg,smr,time_min,direction,temp_C,block,range_mm,azimuth_deg,zenith_deg"
+    c = seen.covariates
+    points = {"command_deg": c["command"], "smr": c["reflector"], "time_min": c["time"], "direction": c["direction"],
+              "temp_C": kelvin_from_celsius(20.0 + c["temperature_difference"]), "block": c["block"],
+              **dict(zip(("range_mm", "azimuth_deg", "zenith_deg"), seen.recorded.T, strict=True))}
     return {
         "job.toml": 'problem = "problems.turntable"\n\n[data.points]\nfile = "points.csv"\ninstrument = "tracker"\n\n'
                     '[instruments.tracker]\nkind = "laser_tracker"\nsigma_range_um = 4.0\nsigma_azimuth_arcsec = 1.0\n'
                     'sigma_zenith_arcsec = 1.0\n\n[options]\npositioning = true\naxis_direction = [0.0, 0.0, 1.0]\n\n'
                     '[report]\nquantities = ["deviation"]\n',
-        "points.csv": f"# source: simulated, seed {seed}\n{header}\n" + "\n".join(lines) + "\n"}
+        "points.csv": written(f"simulated, seed {seed}", points)}
 
 
 # --- the published comparison ------------------------------------------------------------------------------------
