@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from calib import Observations, Pose, Problem, Unknown, geometry, linearise, simulate, solve, units
-from calib.analyse.score import Candidate, candidates, field_of, orthonormal
+from calib.analyse.score import Candidate, Field, candidates, field_of, orthonormal
 from calib.job import Job
 from calib.mechanism import (
     Frame,
@@ -190,9 +190,8 @@ def hide(problem: Problem, seed: int, count: int, size: float) -> Hidden | None:
         if not moved.any():
             continue
         values = direction * size / np.sqrt(np.mean(signal[moved] ** 2))
-        if float(np.sum(field.outside(columns @ values[:, None]) ** 2)) >= VISIBLE:
-            # A further effect must show beside the first, or the two are one to every test.
-            field = field.taking(orthonormal(field.outside(columns), np.linalg.norm(columns, axis=0)))
+        together = [*((c, fit.held_columns(c.columns), v) for c, v in chosen), (one, columns, values)]
+        if all(_shown(field, k, together) >= VISIBLE for k in range(len(together))):
             chosen.append((one, values))
     if len(chosen) < count:
         return None
@@ -205,6 +204,15 @@ def hide(problem: Problem, seed: int, count: int, size: float) -> Hidden | None:
     readings = {o.group: np.asarray(o.readings) for o in drawn.observations if not o.is_prior}
     return Hidden([(one.effect.name, one.channel, dict(zip([p.name for p in one.effect.parameters], values.tolist(),
                                                             strict=True))) for one, values in chosen], readings)
+
+
+def _shown(field: Field, k: int, together: list[tuple[Candidate, np.ndarray, np.ndarray]]) -> float:
+    """Sum of squares that an effect raises beside the others, which may take its place as far as they can."""
+    for number, (_, columns, _) in enumerate(together):
+        if number != k:
+            field = field.taking(orthonormal(field.outside(columns), np.linalg.norm(columns, axis=0)))
+    _, columns, values = together[k]
+    return float(np.sum(field.outside(columns @ values[:, None]) ** 2))
 
 
 def write(kind: str, seed: int, count: int, size: float, cases: Path, truths: Path) -> bool:
