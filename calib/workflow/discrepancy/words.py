@@ -21,6 +21,8 @@ LISTED = 6
 LEVEL = "level"  # the shape of a disagreement that is constant for each value of a covariate
 SHAPES = {LEVEL: "a constant for each", "trend": "a trend over", "curve": "a curve over", "cubic": "a cubic over",
           "smooth": "a smooth function of", "fine": "a fine function of", "pieces": "steps over"}
+INFLUENCES = {"time": "time (drifts)", "temperature_difference": "temperature (thermal effects)",
+              "block": "block (steps between set-ups)"}  # what any reading may be recorded with, and what it shows
 FEW_SPARE = 5  # degrees of freedom below which hardly anything can be found
 
 
@@ -142,6 +144,10 @@ def remarks_on(scene: Scene) -> tuple[str, ...]:
         listed = ", ".join(c.label for c in hiding[:LISTED]) + (" and others" if len(hiding) > LISTED else "")
         found.append(f"These readings cannot show {listed}: the unknowns absorb them, or what drives them stands "
                      "still.")
+    recorded = {name for channel in scene.channels for name in channel.covariates}
+    if missing := [words for name, words in INFLUENCES.items() if name not in recorded]:
+        found.append(f"Not recorded with the readings, so that nothing could be looked for over it: "
+                     f"{', '.join(missing)}.")
     for name, labels in standing_still(scene).items():
         found.append(f"'{name.replace('_', ' ')}' never varies, so {', '.join(labels[:LISTED])} cannot be judged; "
                      "let it vary in further readings.")
