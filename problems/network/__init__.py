@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib import Effect, Linearisation, Problem
+from calib import Effect, Linearisation, Problem, reliability
 from calib.errors import InputError
 from calib.job import Job
 from problems.network import frames
@@ -34,6 +34,7 @@ from problems.network.tolerance import tolerable
 
 accepts = ("problems.network", "network", ".gkf")
 named_by_key = ("point",)
+BLUNDER = 0.05    # of v'Pv may be left where the worst reading is taken out
 source = "GNU Gama manual; Baarda (1968), reliability; Meissl (1962), free networks"
 
 
@@ -87,7 +88,7 @@ def _named(problem: Problem, name: str, job: Job) -> list[Effect]:
     found = found or [one for one in problem.effects if name == one.name]
     if not found:
         raise InputError(f"{job.options.where('free')}: no instrument of this network has the constant '{name}'"
-                         f"{frames.near(name, {one.label for one in problem.effects})}")
+                         f"{frames.near(name, {text for one in problem.effects for text in (one.name, one.label)})}")
     return found
 
 
@@ -101,7 +102,10 @@ def advice(fit: Linearisation) -> list[str]:
     found = blunders(fit)
     own = [survey for _, survey in _latest if {batch.group or batch.kind for batch in survey.batches}
            <= {group.name for group in fit.groups}]      # a problem need not come from a job
-    unit = fitting_unit(own[0], fit.objective, fit.dof) if found and own else None
+    tests = reliability(fit) if found else None
+    # One blunder explains all that is wrong: no unit needs to.
+    single = tests is not None and fit.objective - np.nanmax(tests.w**2) < BLUNDER * fit.objective
+    unit = fitting_unit(own[0], fit.objective, fit.dof) if found and own and not single else None
     return [f"{str(unit)[0].upper()}{str(unit)[1:]}."] if unit else found
 
 

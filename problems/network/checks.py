@@ -32,6 +32,7 @@ def checked(survey: Survey) -> Survey:
     coordinates, frames make no sense together, or lengths contradict the coordinates by their unit.
     """
     survey = _without_unread(_with_frames_read(survey))
+    _apart(survey)
     _joined(survey)
     _enough(survey)
     _frames_read(survey)
@@ -124,6 +125,15 @@ def _frames_read(survey: Survey) -> None:
             raise Lacking(f"frame '{one.key}' has {len(one.free)} free numbers ({', '.join(one.free)}) and {count[i]} "
                           f"readings to its points; it lacks {len(one.free) - count[i]}: read more of its points, or "
                           "hold what does not move", members[i])
+
+
+def _apart(survey: Survey) -> None:
+    """No reading leads from a point to itself."""
+    for batch in survey.every_batch:
+        for other in batch.ends[1:]:
+            for row in np.flatnonzero(batch.ends[0] == other)[:1]:
+                raise InputError(f"row {batch.numbers[row]} of '{batch.group or batch.kind}' reads point "
+                                 f"'{other[row]}' from itself; correct one of the two names, or take the row out")
 
 
 def _joined(survey: Survey) -> None:
