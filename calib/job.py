@@ -325,8 +325,8 @@ def _exclusion(settings: Settings, tables: Mapping[str, Table]) -> Exclusion:
     there = tables[name].row_numbers
     for row in rows:
         if isinstance(row, bool) or not isinstance(row, int) or row not in there:
-            raise InputError(f"{settings.where('rows')}: row {row!r} is not in table '{name}' (rows {there[0]} to "
-                             f"{there[-1]}); correct the number")
+            raise InputError(f"{settings.where('rows')}: row {row!r} is not in table '{name}' (rows {there.min()} "
+                             f"to {there.max()}); correct the number")
     reason = settings.text("reason")
     if not reason.strip():
         raise InputError(f"{settings.where('reason')}: is empty; say why the rows are left out (every report "

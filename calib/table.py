@@ -21,7 +21,10 @@ _INDEX_NAMES = ("row", "n", "i", "no", "nr", "id")
 
 @dataclass(frozen=True)
 class Table:
-    """A table read from a file: columns by name, numbers in SI, and for every row the line of the file it stands on."""
+    """A table read from a file: columns by name, numbers in SI, and for every row the line of the file it stands on.
+
+    row_numbers: those of a column `row` where it numbers each row once, else counted from 1.
+    """
 
     path: Path
     columns: tuple[Column, ...]
@@ -55,7 +58,7 @@ class Table:
         text = _decoded(path, encoding)
         source, header_line, header, lines, cells = _split(path, text)
         found = _columns(path, header_line, header, unit_of or {}, column_of or {})
-        table = Table(path, found, cells, lines, np.arange(1, len(cells) + 1), header_line, source, decimal)
+        table = Table(path, found, cells, lines, _row_numbers(found, cells), header_line, source, decimal)
         table._refuse_repeated_rows()
         return table
 
@@ -166,6 +169,11 @@ class Table:
             row_numbers=self.row_numbers[chosen],
         )
 
+    def places(self, numbers: np.ndarray) -> np.ndarray:
+        """Where the rows of some numbers (n,) stand in the table, counted from 0; the numbers must be in it."""
+        order = np.argsort(self.row_numbers)
+        return order[np.searchsorted(self.row_numbers, numbers, sorter=order)]
+
     def with_number(self, name: str, values: np.ndarray) -> Table:
         """The table with the numbers of one column replaced.
 
@@ -214,6 +222,14 @@ class Table:
                                      f"{self.lines[seen[cells[0]]]} already; "
                                      "a row is there twice, or misnumbered: take it out or number it anew")
                 seen[cells[0]] = row
+
+
+def _row_numbers(found: Sequence[Column], cells: Sequence[Sequence[str]]) -> np.ndarray:
+    named = [place for place, column in enumerate(found) if column.name == "row"]
+    texts = [row[named[0]].strip() for row in cells] if named else []
+    if texts and all(text.isdecimal() for text in texts) and len({int(text) for text in texts}) == len(texts):
+        return np.array([int(text) for text in texts])
+    return np.arange(1, len(cells) + 1)
 
 
 def shipped(name: str) -> Table:

@@ -148,3 +148,24 @@ def test_the_effect_of_a_case_is_found_in_its_units(tmp_path):
     u = calib.covariance(calib.linearise(after), effect).u[0]
     assert before.p_value < 1e-6 and after.p_value > 0.001
     assert abs(after[effect][0] - 12.0 * um) < 4.5 * u
+
+
+def test_a_case_with_one_line_is_adjusted_by_how_far_off_the_line_the_base_point_lies(tmp_path):
+    case_in(tmp_path, 0.0)
+    table = (tmp_path / "measurements.csv").read_text().splitlines()
+    (tmp_path / "measurements.csv").write_text("\n".join([table[0], *(row for row in table if ",X1," in row), ""]))
+    job = Job.read(tmp_path)
+    problem = base_point.from_job(job)
+    estimate = calib.solve(problem)
+    assert estimate.certificate.passed and estimate.dof == 18 - 3 and estimate.p_value > 0.001
+    x, y, z = estimate["base_point"]
+    u = calib.covariance(calib.linearise(estimate), "base_point").u
+    assert abs(np.hypot(y, z) - np.hypot(*BASE[1:])) < 4.5 * np.max(u) and abs(x - BASE[0]) < 4.5 * u[0]
+    assert "turning the base point about that line changes no reading" in base_point.remarks(job)[0]
+
+
+def test_a_wrong_sense_about_a_stated_base_point_is_named():
+    points, _ = box()
+    with pytest.raises(InputError, match="set counts = \"shortening\""):
+        base_point.algebraic.begin(points, -np.linalg.norm(points - BASE, axis=1), np.zeros(len(points), int), 1.0,
+                                   approximate=BASE + 0.02)

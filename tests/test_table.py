@@ -162,3 +162,9 @@ def test_written_columns_read_back_in_si(tmp_path):
     for header in ("angle_deg", "temp_C", "x_mm", "y_mm", "z_mm"):
         column = columns.column(header)
         assert table.number(column.name, column.dimension) == pytest.approx(content[header], rel=1e-9)
+
+
+def test_a_column_row_numbers_the_rows_where_it_numbers_each_once(tmp_path):
+    table = read(tmp_path, "row,x_mm\n7,1\n3,2\n12,3\n")
+    assert table.row_numbers.tolist() == [7, 3, 12] and table.places(np.array([12, 7])).tolist() == [2, 0]
+    assert read(tmp_path, "x_mm,row\n1,1\n2,1\n").row_numbers.tolist() == [1, 2]

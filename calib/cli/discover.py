@@ -52,6 +52,7 @@ def discover(
     if growing:
         problem, grown, more = _grown(read, module, problem, output)
     check, remarks = held_out_rows(read, problem)
+    remarks = (*(module.remarks(read) if hasattr(module, "remarks") else ()), *remarks)
     with output.progress(f"explaining {job.name}", 1) as step:
         found = explain(problem, level, check, remarks=remarks)
         step()

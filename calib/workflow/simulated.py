@@ -111,7 +111,7 @@ def _place(observations: Observations, tables: Mapping[str, Table]) -> tuple[str
     for name, table in tables.items():
         if not np.isin(of_row, table.row_numbers).all():
             continue
-        rows = np.searchsorted(table.row_numbers, of_row)
+        rows = table.places(of_row)
         numbers = dict(_numbers(table))
         headers: list[str] = []
         for component in readings.T:
@@ -127,9 +127,9 @@ def _place(observations: Observations, tables: Mapping[str, Table]) -> tuple[str
 def _one_row_each(observations: Observations) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the table, their readings side by side: where each row holds the same number of readings (six legs)."""
     rows, readings = np.asarray(observations.rows), observations.recorded
-    once, counts = np.unique(rows, return_counts=True)
-    if counts.min() == counts.max() > 1 and np.array_equal(rows, np.repeat(once, counts)):
-        return once, readings.reshape(len(once), -1)
+    each = len(rows) // len(np.unique(rows))
+    if each > 1 and np.array_equal(rows, np.repeat(rows[::each], each)):
+        return rows[::each], readings.reshape(len(rows) // each, -1)
     return rows, readings
 
 
@@ -146,7 +146,7 @@ def _numbers(table: Table) -> Any:
 def _with_column(table: Table, header: str, rows: np.ndarray, readings: np.ndarray) -> Table:
     column = table.column(header)
     numbers = table.number(header, column.dimension or "number")
-    numbers[np.searchsorted(table.row_numbers, rows)] = readings
+    numbers[table.places(rows)] = readings
     return table.with_number(header, numbers)
 
 

@@ -64,6 +64,9 @@ def from_job(job: Job) -> Problem:
         limits = np.array([known.table("axis_range_mm").numbers(axis) for axis in AXES]) * mm
         about = known.quantity("base_point_approx", "length")
         problem = declare(lines, FreeStart(), ProjectedCoordinates(), begin=about)
+        # a case has no place for a choice: about a single line only the distance matters, so one coordinate stays
+        across = algebraic.turning_coordinate(lines.points, about)
+        problem = problem.hold(problem.select("base_point").part(across)) if across else problem
         wavelength = known.quantity("wavelength", "length")
         return with_recorded_effects(problem, lines, limits.mean(axis=1), np.ptp(limits, axis=1) / 2, wavelength)
     lines, tracker, options = lines_of_job(job), job.instrument("lines"), job.options

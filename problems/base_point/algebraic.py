@@ -85,12 +85,28 @@ def begin(points: Array, readings: Array, zeroing: NDArray, sense: float, *, app
     Raises InputError where the readings contradict the sense or all points stand at one position.
     """
     groups = [np.flatnonzero(zeroing == k) for k in range(int(zeroing.max()) + 1)]
-    if not absolute:
-        for i in groups:
+    for i in groups if not absolute else ():
+        if approximate is None:
             _check_sense(points[i], readings[i], sense, name)
+        else:
+            _check_sense_about(np.linalg.norm(points[i] - approximate, axis=1), readings[i], sense, name)
     base = _base_point(points, readings, groups, absolute) if approximate is None else np.asarray(approximate, float)
     excess = np.linalg.norm(points - base, axis=1) - sense * readings
     return Begin(base, np.array([0.0 if absolute else excess[i].mean() for i in groups]))
+
+
+def _check_sense_about(path: Array, readings: Array, sense: float, name: str) -> None:
+    """Refuse a counting sense with which the readings (n,) run against the paths (n,) to an approximate base point."""
+    change, read = path - path.mean(), readings - readings.mean()
+    if change @ read * np.sign(sense) < -0.9 * np.linalg.norm(change) * np.linalg.norm(read):
+        is_now, should = _senses(sense)
+        raise InputError(f"{name}: wrong counting sense: counts = \"{is_now}\", but the readings fall where the path "
+                         f"to the stated base point grows; set counts = \"{should}\", or correct the base point")
+
+
+def _senses(sense: float) -> tuple[str, str]:
+    """The words for a counting sense and for the other one."""
+    return ("lengthening", "shortening") if sense > 0 else ("shortening", "lengthening")
 
 
 def _check_sense(points: Array, readings: Array, sense: float, name: str) -> None:
@@ -99,7 +115,7 @@ def _check_sense(points: Array, readings: Array, sense: float, name: str) -> Non
         return
     value, u = signed_curvature(points, readings)
     length = np.sign(sense) / (2.0 * value)
-    is_now, should = ("lengthening", "shortening") if sense > 0 else ("shortening", "lengthening")
+    is_now, should = _senses(sense)
     raise InputError(
         f"{name}: wrong counting sense: counts = \"{is_now}\" says that the readings grow with a {is_now} path, but "
         f"then the mean path comes out as {1e3 * length:.2f} mm (u = {1e3 * abs(length * u / value):.2f} mm), and no "
@@ -140,6 +156,17 @@ def _least_squares(matrix: Array, right: Array) -> tuple[Array, Array]:
     u = np.sqrt(residual @ residual / spare * np.sum(inverse**2, axis=1))
     u[np.sum(directions[~kept] ** 2, axis=0) > 1e-6] = np.inf
     return value / size, u / size
+
+
+def turning_coordinate(points: Array, base_point: Array) -> str:
+    """The coordinate that changes most while a base point (3,) [m] turns about the one line of points (n, 3) [m].
+
+    Return: "x", "y" or "z"; empty where the points are not on one line.
+    """
+    span = Span.of(points)
+    if span.rank != 1:
+        return ""
+    return "xyz"[int(np.abs(np.cross(span.axes[0], base_point - span.centre)).argmax())]
 
 
 def unseen(points: Array) -> tuple[str, ...]:

@@ -124,7 +124,7 @@ def lines_of_case(job: Job) -> Lines:
         **recorded(job, table), **directions(table.whole("direction"), along), "line": line,
         "split": table.text("split"), "abbe_x": (of_line("abbe_x"), "m"), "abbe_y": (of_line("abbe_y"), "m")}
     return Lines(coordinates(table), table.number("d", "length"), of_line("sigma_d"), along, of_line("sigma_axis"),
-                 velocity=along * table.number("speed_mm_s", "length/time")[:, None], rows=table.whole("row"),
+                 velocity=along * table.number("speed_mm_s", "length/time")[:, None], rows=table.row_numbers,
                  zeroing=[name if kind[name] == "fine" else "long" for name in line], covariates=covariates)
 
 
