@@ -83,7 +83,7 @@ def _judged(
             best = replace(best, finding=replace(nothing(nominal), scale=best.finding.scale))
             named, outliers, estimate = (), (), before
     noise = failed_looks(scene, best, level * shares.noise, seed)
-    if best.noise.kind not in (STATED, SCALED) and best.finding is not finding and not noise:
+    if best.noise.kind != STATED and best.finding is not finding and not noise:
         # Something was significant, and this noise accounts for it better than any effect.
         noise = (NoiseTest(best.noise.kind, best.noise.where, best.noise.correlation, level),)
     verdict = _verdict(best, named, outliers, noise)

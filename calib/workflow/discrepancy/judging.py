@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.analyse.score import Field, orthonormal
-from calib.workflow.discrepancy.noise import NoiseTest, noise_tests, upper_tail
+from calib.workflow.discrepancy.noise import NoiseTest, noise_tests
 from calib.workflow.discrepancy.rivals import HEAVY, LARGE, SCALED, SERIAL, STATED, UNEVEN, Noise, accounts
 from calib.workflow.discrepancy.scene import Scene
 from calib.workflow.discrepancy.search import Finding, Shares, noise_scale, search
@@ -48,8 +48,8 @@ def best_account(
         # Nothing is significant: what the noise is, is for its own tests.
         return Account(none, (), Noise(STATED, 0.0, np.ones(len(scene.residual))), 0.0)
     plain, mine = accounts(none.left, nominal.channels), accounts(finding.left, scene.channels)
-    # Nothing beside the stated noise is refuted at the level; noise of another size explains it only where that shows.
-    refuted = (STATED,) if upper_tail(none.left) <= level else (STATED, SCALED)
+    # Nothing but the stated noise is refuted already; another size is a rival only where the stated one was given up.
+    refuted = (STATED, SCALED) if none.scale == 1.0 else (STATED,)
     pool = [Account(none, (), one, one.score) for one in plain if one.kind not in refuted] + described_ones
     if finding.effects or finding.blunders:
         cost = price_of(scene, finding)
@@ -81,7 +81,8 @@ def _plainest(source: Sequence[Noise]) -> Noise:
 
 def nothing(scene: Scene) -> Finding:
     """The finding that nothing is missing."""
-    return Finding((), (), (), (), noise_scale(scene.field), replace(scene.field, signals=(), sizes=()))
+    field = scene.field
+    return Finding((), (), (), (), noise_scale(field.squares, field.dof), replace(field, signals=(), sizes=()))
 
 
 def price_of(scene: Scene, finding: Finding) -> float:

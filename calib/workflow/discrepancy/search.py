@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 
 from calib.analyse.score import Field, orthonormal
 from calib.blocks import Array
-from calib.workflow.discrepancy.looks import corrected, corrected_each, effective_looks, smallest_tails, tail, tails
+from calib.workflow.discrepancy.looks import corrected, corrected_each, smallest_tails, tail, tails
 from calib.workflow.discrepancy.sparse import sparse_sets
-from calib.workflow.discrepancy.subsets import PARAMETER, Subsets
+from calib.workflow.discrepancy.subsets import PARAMETER, SAME, Subsets
 
 EXPLORE = 0.25  # corrected p-value up to which the search goes on adding, before it drops what is not needed
 MOST_EFFECTS = 6
 STEPS = 12  # of exchange at most
 LIKELY = 24  # candidates of which pairs are tried
 CROWDED = 4  # effects up to which pairs are tried at all
-DRAWS = 400  # simulated residuals from which the number of independent looks is judged
+DRAWS = 6000  # simulated residuals from which the number of independent looks is judged
+RARE = 0.03  # probability at which it is judged: near the level, with enough draws beyond it
 SCALE_LEVEL = 0.002  # at which the stated noise is given up for the one that is left over
 
 
@@ -28,10 +29,10 @@ SCALE_LEVEL = 0.002  # at which the stated noise is given up for the one that is
 class Shares:
     """How the probability of a false alarm is shared among the kinds of finding."""
 
-    effects: float = 0.70
-    blunders: float = 0.05
+    effects: float = 0.65
+    blunders: float = 0.03
     structure: float = 0.10
-    noise: float = 0.15
+    noise: float = 0.22
 
 
 @dataclass(frozen=True)
@@ -50,14 +51,14 @@ class Finding:
     left: Field
 
 
-def noise_scale(field: Field) -> float:
+def noise_scale(squares: float, dof: int) -> float:
     """Variance of what is left, or 1 where it does not contradict the stated one."""
     from scipy.special import gammainc, gammaincc
 
-    if field.dof < 3:
+    if dof < 3:
         return 1.0
-    upper, lower = gammaincc(field.dof / 2, field.squares / 2), gammainc(field.dof / 2, field.squares / 2)
-    return field.squares / field.dof if min(upper, lower) < SCALE_LEVEL / 2 else 1.0
+    upper, lower = gammaincc(dof / 2, squares / 2), gammainc(dof / 2, squares / 2)
+    return squares / dof if min(upper, lower) < SCALE_LEVEL / 2 else 1.0
 
 
 def independent_looks(field: Field, seed: int) -> float:
@@ -65,11 +66,16 @@ def independent_looks(field: Field, seed: int) -> float:
     frames = [f for f in field.frames if f.shape[1]]
     if not frames:
         return 1.0
-    draws = np.random.default_rng(seed).standard_normal((len(field.residual), DRAWS))
+    together = np.concatenate(frames, axis=1)
+    values, vectors = np.linalg.eigh(together.T @ together)
+    # What noise does to the candidates depends on their inner products alone: as many numbers a draw as they differ.
+    seen = values > SAME
+    draws = np.random.default_rng(seed).standard_normal((int(seen.sum()), DRAWS))
     dofs = np.array([f.shape[1] for f in frames])
-    squared = (np.concatenate(frames, axis=1).T @ draws) ** 2
+    squared = ((vectors[:, seen] * np.sqrt(values[seen])) @ draws) ** 2
     drops = np.add.reduceat(squared, np.cumsum(dofs) - dofs, axis=0)
-    return effective_looks(smallest_tails(drops, dofs), len(frames))
+    rare = float(np.quantile(smallest_tails(drops, dofs), RARE))
+    return float(np.clip(np.log1p(-RARE) / np.log1p(-rare), 1.0, len(frames)))
 
 
 def search(
@@ -92,29 +98,28 @@ def search(
     shares = shares or Shares()
     looks = independent_looks(field, seed)
     model = Subsets(field, looks, readings, positive)
-    most_blunders = max(3, len(readings) // 25) if most_blunders is None else most_blunders
+    most_blunders = max(6, len(readings) // 12) if most_blunders is None else most_blunders
     effects, blunders = _forward(model, most_blunders, start)
-    left = field.taking(model.columns(effects, blunders))
-    scale = noise_scale(left)
-    effects = _exchange(model, effects, blunders, scale, start is None)
+    squares, taken = model.squares(effects, blunders)
+    effects = _exchange(model, effects, blunders, noise_scale(squares, field.dof - taken), start is None)
     return _backward(model, effects, blunders, level, shares)
 
 
 def _forward(model: Subsets, most_blunders: int, start: Finding | None) -> tuple[list[int], list[int]]:
-    field, readings = model.field, model.readings
+    readings, frames = model.readings, model.field.frames
+    field = replace(model.field, signals=frames, sizes=tuple(np.ones(f.shape[1]) for f in frames))
     effects: list[int] = list(start.effects) if start else []
     blunders: list[int] = list(start.blunders) if start else []
     if start:
         field = field.taking(model.columns(effects, blunders))
     while True:
         steps: list[tuple[float, float, str, int]] = []  # corrected p-value, minus the gain, what, place
-        drops, dofs = field.statistics
-        if len(effects) < MOST_EFFECTS and len(drops):
-            scales = _scale_after(field, drops, dofs)
-            sides = np.array([model.sides(one) for one in range(len(dofs))])
-            for one, p in enumerate(corrected_each(tails(drops, dofs, scales, field.dof - dofs) * sides, model.looks)):
-                wrong_sign = one in model.positive and field.signals[one][:, 0] @ field.residual <= 0
-                if one not in effects and dofs[one] and not wrong_sign:
+        if len(effects) < MOST_EFFECTS and frames:
+            left, dofs, allowed = model.products_of(field).judge([[one] for one in range(len(frames))])
+            drops = field.squares - left
+            p_values = tails(drops, dofs, _scale_after(field, drops, dofs), field.dof - dofs) * model.sides
+            for one, p in enumerate(corrected_each(p_values, model.looks)):
+                if one not in effects and dofs[one] and allowed[one]:
                     steps.append((float(p), PARAMETER * float(dofs[one]) - float(drops[one]), "effect", one))
         if len(blunders) < most_blunders and len(readings):
             seen = np.where(field.redundancy[readings] > 1e-6, field.redundancy[readings], np.inf)
@@ -129,12 +134,13 @@ def _forward(model: Subsets, most_blunders: int, start: Finding | None) -> tuple
             return effects, blunders
         if what == "effect":
             effects.append(place)
-            field = field.taking(field.frames[place])
+            frame = field.signals[place]
         else:
             blunders.append(place)
             unit = np.zeros((len(field.residual), 1))
             unit[place, 0] = 1.0
-            field = field.taking(orthonormal(field.outside(unit), np.ones(1)))
+            frame = field.outside(unit)
+        field = field.taking(orthonormal(frame, np.ones(frame.shape[1])))
 
 
 def _scale_after(field: Field, drops: Array, dofs: NDArray[np.int64]) -> Array:
@@ -192,21 +198,20 @@ def _far(
 def _backward(model: Subsets, effects: list[int], blunders: list[int], level: float, shares: Shares) -> Finding:
     """Drop what is not significant beside everything else that is chosen."""
     while True:
-        left = model.field.taking(model.columns(effects, blunders))
-        scale = noise_scale(left)
         everything, taken = model.squares(effects, blunders)
-        p_effects, p_blunders = [], []
+        dof = model.field.dof - taken
+        scale = noise_scale(everything, dof)
+        p_effects = []
         for e in effects:
             squares, fewer = model.squares([x for x in effects if x != e], blunders)
-            p = tail(squares - everything, taken - fewer, scale, left.dof) * model.sides(e)
-            p_effects.append(corrected(p, model.looks))
-        for b in blunders:
-            squares, fewer = model.squares(effects, [x for x in blunders if x != b])
-            p_blunders.append(
-                corrected(tail(squares - everything, taken - fewer, scale, left.dof), len(model.readings))
-            )
+            p_effects.append(corrected(tail(squares - everything, taken - fewer, scale, dof) * model.sides[e],
+                                       model.looks))
+        rises = model.rises(effects, blunders)
+        alone = tails(rises, *(np.full(len(rises), value) for value in (1, scale, dof)))
+        p_blunders = [float(p) for p in corrected_each(alone, len(model.readings))]
         excess = [p / (level * shares.effects) for p in p_effects] + [p / (level * shares.blunders) for p in p_blunders]
         if not excess or max(excess) <= 1.0:
+            left = replace(model.field, signals=(), sizes=()).taking(model.columns(effects, blunders))
             return Finding(tuple(effects), tuple(blunders), tuple(p_effects), tuple(p_blunders), scale, left)
         worst = int(np.argmax(excess))
         if worst < len(effects):

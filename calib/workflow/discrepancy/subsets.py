@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,24 +72,51 @@ class Subsets:
         """Inner products beside the given blunders."""
         key = tuple(sorted(blunders))
         if key not in self._known:
-            self._known[key] = self._products(key)
+            self._known[key] = self._beside(key) if key else self.products_of(self._framed)
         return self._known[key]
 
-    def _products(self, blunders: tuple[int, ...]) -> Products:
-        frames = self.field.frames
-        ends = np.cumsum([f.shape[1] for f in frames], dtype=np.int64)
-        starts = ends - np.array([f.shape[1] for f in frames], dtype=np.int64)
-        together = np.concatenate([*frames, np.zeros((len(self.field.residual), 0))], axis=1)
-        residual = self.field.residual
+    @cached_property
+    def _framed(self) -> Field:
+        return replace(self.field, signals=self.field.frames)
+
+    def products_of(self, field: Field) -> Products:
+        """Inner products of the candidates' signals, as they are, in a field."""
+        ends = np.cumsum([s.shape[1] for s in field.signals], dtype=np.int64)
+        starts = ends - np.array([s.shape[1] for s in field.signals], dtype=np.int64)
+        together = np.concatenate([*field.signals, np.zeros((len(field.residual), 0))], axis=1)
         signs = np.zeros(together.shape[1])
         for one in self.positive:
-            if frames[one].shape[1]:
-                signs[starts[one]] = np.sign(frames[one][:, 0] @ self.field.signals[one][:, 0])
-        if blunders:
-            out = self.columns((), blunders)
-            together = together - out @ (out.T @ together)
-            residual = residual - out @ (out.T @ residual)
-        return Products(together.T @ together, together.T @ residual, float(residual @ residual), starts, ends, signs)
+            if ends[one] > starts[one]:
+                signs[starts[one]] = np.sign(self.field.frames[one][:, 0] @ self.field.signals[one][:, 0])
+        return Products(together.T @ together, together.T @ field.residual, field.squares, starts, ends, signs)
+
+    def _beside(self, blunders: tuple[int, ...]) -> Products:
+        alone, places = self.products(()), list(blunders)
+        rows, residual = self._rows(places), self.field.residual[places]
+        solved = np.linalg.solve(self._corner(places), np.column_stack([rows, residual]))
+        return replace(alone, matrix=alone.matrix - rows.T @ solved[:, :-1], pull=alone.pull - rows.T @ solved[:, -1],
+                       squares=alone.squares - float(residual @ solved[:, -1]))
+
+    def _rows(self, places: list[int]) -> Array:
+        """Rows of all frames at some places."""
+        return np.concatenate([*(f[places] for f in self.field.frames), np.zeros((len(places), 0))], axis=1)
+
+    def _corner(self, places: list[int]) -> Array:
+        """Inner products of what shows of errors of single readings; a trace keeps it regular where nothing does."""
+        basis = self.field.basis[places]
+        return (1 + SAME) * np.eye(len(places)) - basis @ basis.T
+
+    def rises(self, effects: Sequence[int], blunders: Sequence[int]) -> Array:
+        """By how much the sum of squares would rise without each blunder alone, all from one inverse (Schur)."""
+        if not blunders:
+            return np.zeros(0)
+        alone, places = self.products(()), list(blunders)
+        inside = [q for e in effects for q in range(alone.starts[e], alone.ends[e])]
+        across = self._rows(places)[:, inside]
+        matrix = alone.matrix[np.ix_(inside, inside)] + SAME * np.eye(len(inside))
+        inverse = np.linalg.inv(np.block([[matrix, across.T], [across, self._corner(places)]]))
+        steps = inverse @ np.concatenate([alone.pull[inside], self.field.residual[places]])
+        return np.asarray(steps**2 / np.diag(inverse))[len(inside):]
 
     def columns(self, effects: Sequence[int], blunders: Sequence[int]) -> Array:
         """Orthonormal directions of what is chosen."""
@@ -100,9 +128,10 @@ class Subsets:
         together = np.concatenate([*pieces, np.zeros((len(self.field.residual), 0))], axis=1)
         return orthonormal(together, np.ones(together.shape[1])) if together.shape[1] else together
 
-    def sides(self, one: int) -> float:
-        """Share of the tail probability that counts: half where only one sign can be."""
-        return 0.5 if one in self.positive else 1.0
+    @cached_property
+    def sides(self) -> Array:
+        """Share of the tail probability that counts for each candidate: half where only one sign can be."""
+        return np.array([0.5 if one in self.positive else 1.0 for one in range(len(self.field.signals))])
 
     def squares(self, effects: Sequence[int], blunders: Sequence[int]) -> tuple[float, int]:
         """Sum of squares left and the degrees of freedom taken."""
