@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 
@@ -10,6 +9,7 @@ from calib import units
 from calib.errors import InputError
 
 SEXAGESIMAL = "dms"
+LARGEST = 1e100     # squares of larger numbers, over a u, overflow
 CELSIUS = ("C", "degC", "°C")
 _NUMERATORS = frozenset(("m", "mm", "um", "nm", "rad", "mrad", "urad", "deg", "arcsec", "gon", "ppm", "K", "mK"))
 _DENOMINATORS = frozenset(("s", "min", "h", "K", "m"))
@@ -92,7 +92,7 @@ def number(cell: str, unit: str, decimal: str = ".") -> float:
             raise InputError(f"'{text}' is a plain number in a column of degrees, minutes and seconds; "
                              "write 185-29-31.5, or name the column _deg")
         value = float(text)
-        if not math.isfinite(value):
+        if not abs(value) < LARGEST:
             raise InputError(f"'{text}' is too large for a number; check it")
         return float(units.kelvin_from_celsius(value)) if unit in CELSIUS else float(units.to_si(value, unit))
     if unit in (SEXAGESIMAL, "deg", "°"):

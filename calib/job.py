@@ -21,6 +21,7 @@ from calib.table import Table
 DATA_FOLDER = "CALIB_REFERENCE_DATA"    # environment variable: a folder of large files, or of other projects' data
 
 MEASUREMENTS = "measurements"
+FORMAT = 1  # of a case folder
 CERTIFICATE_TEXTS = ("laboratory", "customer", "item")
 CERTIFICATE_DATES = ("calibration_date", "issue_date")
 
@@ -276,7 +277,9 @@ def _job(path: Path) -> Job:
 
 def _case(path: Path) -> Job:
     settings = _parsed(path)
-    settings.whole("format")
+    if settings.whole("format") != FORMAT:
+        raise InputError(f"{settings.where('format')}: is {settings.whole('format')}, but this version reads format "
+                         f"{FORMAT}; write the case in it, or use a version of calib that reads yours")
     settings.text("case")
     scenario = settings.text("scenario")
     for column in settings.tables("columns"):

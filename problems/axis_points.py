@@ -290,6 +290,11 @@ def _from_job(job: Job, shared: Collection[str] | None) -> Problem:
 
 def _faces(data: Table) -> np.ndarray:
     face = data.whole("face") if data.has("face") else np.ones(len(data), dtype=int)
+    second = np.mod(data.number("V", "angle"), 2 * np.pi) > np.pi if data.has("V") and not data.has("face") else []
+    if np.any(second):
+        place = data.place(int(np.argmax(second)), data.column("V"))
+        raise InputError(f"{place}: more than half a turn from the zenith is a reading of face 2; add a column face, "
+                         "1 or 2")
     for row in np.flatnonzero((face != 1) & (face != 2)):
         place = data.place(int(row), data.column("face"))
         raise InputError(f"{place}: face {face[row]} is neither 1 nor 2; correct it")

@@ -146,6 +146,13 @@ def test_a_face_that_is_neither_one_nor_two_is_named_with_its_line(tmp_path):
         axis_points.from_job(Job.read(write(tmp_path, files)))
 
 
+def test_readings_of_face_two_ask_for_the_column_face(tmp_path):
+    files = axis_points.example_job(2)
+    files["circles.csv"] = files["circles.csv"].replace("target,face,", "target,side,")
+    with pytest.raises(InputError, match=r"circles.csv, line \d+.*column 'V_deg'.*add a column face"):
+        axis_points.from_job(Job.read(write(tmp_path, files)))
+
+
 @pytest.mark.skipif(not CASES.is_dir(), reason="the example cases are not on this machine")
 @pytest.mark.parametrize("case, before", [("clean", 1.00847), ("effect", 4.70467)])
 def test_the_example_cases_have_their_published_gap(case, before):

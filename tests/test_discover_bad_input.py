@@ -97,13 +97,14 @@ def test_the_untouched_case_is_consistent(discover, case):
 @pytest.mark.parametrize(("name", "change", "words"), [
     ("case.toml", lambda text: text.replace("level_plumb", "level_plum"), ["level_plum", "there is no problem"]),
     ("case.toml", lambda text: "", ["case.toml", "format"]),
+    ("case.toml", lambda text: text.replace("format = 1", "format = 7"), ["line 1", "'format': is 7", "reads format 1"]),
     ("case.toml", lambda text: text.replace("sigma_arcsec = 0.2", ""), ["instruments.level", "is missing"]),
     ("case.toml", lambda text: text.replace("arcsec = 0.2", "arcsec = 0.0"), ["standard uncertainty", "is 0"]),
     ("measurements.csv", lambda text: "", ["is empty", "header"]),
     ("measurements.csv", lambda text: HEADER + "\n", ["no rows"]),
     ("measurements.csv", lambda text: text.replace("angle_deg", "bearing_deg"), ["'angle' is missing", "bearing_deg"]),
     ("measurements.csv", lambda text: text.replace(".", ";"), ["line 2", "angle_deg"]),
-], ids=["unknown scenario", "empty case file", "no sigma", "sigma of zero", "empty table", "header alone",
+], ids=["unknown scenario", "empty case file", "later format", "no sigma", "sigma of zero", "empty table", "header alone",
         "column missing", "decimal sign"])
 def test_what_cannot_be_used_is_said_with_its_place_and_nothing_is_written(
     discover, case, tmp_path, name, change, words
@@ -116,7 +117,7 @@ def test_what_cannot_be_used_is_said_with_its_place_and_nothing_is_written(
     assert not (tmp_path / "out" / "answer.json").exists()
 
 
-@pytest.mark.parametrize("value", ["nan", "inf", "", "12,5", "broken"])
+@pytest.mark.parametrize("value", ["nan", "inf", "1e300", "", "12,5", "broken"])
 def test_a_reading_that_is_no_number_is_named_by_line_and_column(discover, case, value):
     ran = discover(rows_changed(case, with_cell("reading_arcsec", value, only=4)))
     assert ran.status == 2
