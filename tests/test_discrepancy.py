@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib import Observations, Problem, Unknown, solve
+from calib import Observations, Problem, Unknown, simulate, solve
 from calib.errors import CalibrationError
 from calib.units import arcsec, degree, hour
 from calib.workflow.discrepancy.rivals import HEAVY, SCALED, SERIAL, STATED, UNEVEN, accounts
@@ -88,6 +88,19 @@ def test_effects_driven_alike_are_listed_as_aliases_with_what_would_tell_them_ap
     (one,) = found.effects
     assert {(one.name, one.channel), *one.aliases} == {("drift", "reading"), ("thermal", "reading")}
     assert "independently of" in found.next_measurement
+
+
+def test_a_parameter_that_is_only_rounding_in_the_readings_is_held_and_said():
+    angle = np.tile(np.arange(0, 360, 60), 5) * degree      # the sine of three turns is zero at all of them
+    problem = plumb.declare(angle, np.zeros(30), 0.2 * arcsec)
+    problem = problem.with_effects(*(e for e in plumb.effects() if e.name.startswith("tilt_motion")))
+    lobes = problem.parameters("tilt_motion_3x (table)")
+    found = calib.explain(simulate(problem, {lobes: np.array([[0.5, 0.0]]) * arcsec}, 2))
+    assert [e.name for e in found.effects] == ["tilt_motion_3x"]
+    value, u, _ = found.effects[0].parameters["c"]
+    assert abs(value - 0.5) < 3 * u < 0.3
+    assert found.effects[0].parameters["s"][0] == 0.0
+    assert any("cannot tell s of tilt_motion_3x" in remark for remark in found.remarks)
 
 
 def test_an_implausible_size_is_said():

@@ -17,17 +17,20 @@ from calib.linearisation import Linearisation
 from calib.unknown import Selection, Unknown
 
 ROUNDING = 1e-7  # by which a basis of many directions may miss being orthonormal
+NEVER = 1e-6  # u over all readings that the largest usual parameter shows, below which its derivatives are rounding
 INVISIBLE = 1e-7  # share of a candidate's signal that the free unknowns leave over, below which it cannot be seen
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One held effect, or one key of it, that may be freed: its parameters as columns of the linearisation."""
+    """One held effect, or one key of it, that may be freed: its parameters as columns of the linearisation; parts:
+    those that can be told, where not all can."""
 
     effect: Effect
     unknown: Unknown
     instance: int
     columns: tuple[int, ...]
+    parts: tuple[int, ...] | None = None
 
     @property
     def key(self) -> str:
@@ -47,7 +50,18 @@ class Candidate:
     @property
     def selection(self) -> Selection:
         """What to free in the problem."""
-        return Selection(self.unknown, np.array(self.instance))
+        return Selection(self.unknown, np.array(self.instance), self.parts)
+
+    def told_by(self, signal: Array, count: int) -> Candidate:
+        """The same with as many parts as a signal (n, k) beside the unknowns has directions: those that show most, each
+        beside the ones before it, at usual sizes."""
+        from scipy.linalg import qr
+
+        if count in (0, signal.shape[1]):
+            return self
+        usual = np.array([p.plausible[1] for p in self.effect.parameters])
+        order = qr(signal * usual, mode="r", pivoting=True)[1]
+        return replace(self, parts=tuple(sorted(int(i) for i in order[:count])))
 
 
 @dataclass(frozen=True)
@@ -183,9 +197,18 @@ def field_of(fit: Linearisation, chosen: Sequence[Candidate]) -> Field:
     basis = _orthonormal_rows(fit)
     residual = residual - basis @ (basis.T @ residual)
     redundancy = np.maximum(1.0 - np.sum(basis**2, axis=1), 0.0)
-    columns = fit.held_columns([c for one in chosen for c in one.columns])
-    splits = np.cumsum([len(one.columns) for one in chosen])[:-1]
-    return Field(residual, redundancy, basis, (), ()).with_signals(np.split(columns, splits, axis=1) if chosen else [])
+    return Field(residual, redundancy, basis, (), ()).with_signals(columns_of(fit, chosen))
+
+
+def columns_of(fit: Linearisation, chosen: Sequence[Candidate]) -> list[Array]:
+    """Whitened derivatives (n, k) by the parameters of each candidate; zero where they are no more than rounding, as
+    those by a sine of three turns at every sixth of a turn."""
+    if not chosen:
+        return []
+    together = fit.held_columns([c for one in chosen for c in one.columns])
+    usual = np.array([p.plausible[1] for one in chosen for p in one.effect.parameters])
+    together[:, np.linalg.norm(together, axis=0) * usual < NEVER] = 0.0
+    return np.split(together, np.cumsum([len(one.columns) for one in chosen])[:-1], axis=1)
 
 
 def _orthonormal_rows(fit: Linearisation) -> Array:
@@ -221,12 +244,10 @@ def scores(fit: Linearisation, chosen: Sequence[Candidate] | None = None) -> lis
     from scipy.special import gammaincc
 
     chosen = candidates(fit) if chosen is None else list(chosen)
-    field = field_of(fit, chosen)
-    columns = fit.held_columns([c for one in chosen for c in one.columns])
-    result, begin = [], 0
-    for one, signal, size in zip(chosen, field.signals, field.sizes, strict=True):
-        whole = columns[:, begin : begin + len(one.columns)]
-        begin += len(one.columns)
+    columns = columns_of(fit, chosen)
+    field = field_of(fit, ()).with_signals(columns)
+    result = []
+    for one, whole, signal, size in zip(chosen, columns, field.signals, field.sizes, strict=True):
         frame = orthonormal(signal, size)
         statistic, dof = float(np.sum((frame.T @ field.residual) ** 2)), frame.shape[1]
         separability = _separability(signal, whole, size)

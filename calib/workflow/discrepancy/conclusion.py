@@ -22,7 +22,14 @@ from calib.workflow.discrepancy.rivals import Noise
 from calib.workflow.discrepancy.scene import Scene
 from calib.workflow.discrepancy.search import Finding
 from calib.workflow.discrepancy.structure import Place, Screen
-from calib.workflow.discrepancy.words import next_measurement, plausibility, remarks_on, sentence, standing_still
+from calib.workflow.discrepancy.words import (
+    half_told,
+    next_measurement,
+    plausibility,
+    remarks_on,
+    sentence,
+    standing_still,
+)
 
 LOOKED_AT = 3  # kinds of look at the nominal model: the size of its residuals, places, effects
 MANY = 8  # places named under `where`
@@ -117,6 +124,7 @@ def conclude(
     advice = ""
     if verdict == "effects":
         effects, advice = _named(scene, judged.finding, judged.named, after)
+        remarks = (*remarks, *(half_told(c) for c in judged.named if c.parts is not None))
     rows = judged.outliers if verdict in ("effects", "outliers") else ()
     where = tuple(p for p in screen.places()[:MANY] if p.p_value < 0.01)
     looks = [size_test(nominal.field).p_value, *(p.p_value for p in where[:1]), *(e.p_value for e in effects)]
@@ -210,7 +218,8 @@ def _named(
     widened = np.sqrt(finding.scale)
     for place, p in zip(finding.effects, finding.p_effects, strict=True):
         one = scene.chosen[place]
-        u = covariance(fit, one.selection).u * widened
+        u = np.array([p.plausible[1] for p in one.effect.parameters])  # of a part that cannot be told: what is usual
+        u[slice(None) if one.parts is None else list(one.parts)] = covariance(fit, one.selection).u * widened
         parameters = {
             q.name: (float(v / units.factor(q.unit)), float(s / units.factor(q.unit)), q.unit)
             for q, v, s in zip(one.effect.parameters, values[place], u, strict=True)

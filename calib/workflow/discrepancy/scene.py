@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.analyse.score import Candidate, Field, candidates, field_of
+from calib.analyse.score import Candidate, Field, candidates, columns_of, field_of
 from calib.blocks import Array
 from calib.linearisation import Linearisation, linearise_system
 from calib.problem import Problem
@@ -65,17 +65,16 @@ def scene_of(problem: Problem, at: Estimate, named: Sequence[Candidate]) -> Scen
     """Linearise with the named effects held at their estimates and put back what they explain."""
     held = problem.hold(*[c.selection for c in named]) if named else problem
     fit = linearise_system(System(held), at.values)
-    chosen = tuple(candidates(fit))
-    together = fit.held_columns([c for one in chosen for c in one.columns])
-    ends = np.cumsum([len(one.columns) for one in chosen])
-    columns = np.split(together, ends[:-1], axis=1) if chosen else []
+    chosen = candidates(fit)
+    columns = columns_of(fit, chosen)
     _, residual = fit.rows
     residual = residual.copy()
     labels = {c.label for c in named}
     for one, column in zip(chosen, columns, strict=True):
         if one.label in labels:
             residual += column @ at.values[one.unknown][one.instance]
-    basis = field_of(fit, ()).basis
-    left = residual - basis @ (basis.T @ residual)
-    field = Field(left, np.maximum(1 - np.sum(basis**2, axis=1), 0), basis, (), ()).with_signals(columns)
-    return Scene(fit, chosen, tuple(columns), basis, residual, tuple(channels(fit, problem)), field)
+    bare = field_of(fit, ())
+    field = replace(bare, residual=bare.outside(residual[:, None])[:, 0]).with_signals(columns)
+    chosen = [one.told_by(signal, frame.shape[1])
+              for one, signal, frame in zip(chosen, field.signals, field.frames, strict=True)]
+    return Scene(fit, tuple(chosen), tuple(columns), bare.basis, residual, tuple(channels(fit, problem)), field)

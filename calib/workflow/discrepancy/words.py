@@ -40,6 +40,13 @@ def plausibility(one: Candidate, values: Array) -> str:
     return "; ".join(words)
 
 
+def half_told(one: Candidate) -> str:
+    """That some parameters of an effect cannot be told from these readings."""
+    names = [p.name for i, p in enumerate(one.effect.parameters) if i not in (one.parts or ())]
+    return (f"These readings cannot tell {' and '.join(names)} of {one.label}: held at zero, with the largest usual "
+            "size for its u.")
+
+
 def sentence(
     verdict: str,
     effects: Sequence[NamedEffect],
