@@ -1,4 +1,4 @@
-"""Sums of products of rows, and the compiled loop that adds to them."""
+"""Sums of products of rows, and the compiled loops that add to them and that weigh rows by what comes of them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from calib.blocks import Array
-from calib.compiled import Shape, fused_rows, parts_of, run_side_by_side
-from calib.pattern import Source, Stream
+from calib.compiled import LEVERAGES, SUMS, Shape, fused_rows, parts_of, run_side_by_side
+from calib.pattern import Raw, Source, Stream
 
 
 @dataclass
@@ -36,21 +36,33 @@ class Sums:
                 np.add.at(self.outer, (columns.transpose(0, 2, 1), rows.transpose(0, 2, 1)), total.transpose(0, 2, 1))
 
 
-def accumulate_compiled(sums: Sums, source: Source, stream: Stream) -> bool:
-    """Add the rows of a stream by a compiled loop; False where it does not pay or cannot be done so."""
+def _shape(source: Source, stream: Stream) -> Shape | None:
+    """What a compiled loop over a stream is written for; None where it does not pay or cannot be."""
     raw, mixing = source.raw, source.whitening[stream.mixing]
     if raw is None or mixing.matrix.ndim != 2 or not np.array_equal(mixing.rows[:, 0], np.arange(len(raw.readings))):
-        return False
-    inside, outside = tuple(a for _, a in stream.inside), tuple(a for _, a in stream.outside)
+        return None
     kinds = tuple(("indexed" if index is not None else "shared" if len(numbers) == 1 else "own", numbers.shape[1])
                   for numbers, index in raw.feeds)
-    shape = Shape(raw.program.instructions, kinds, raw.readings.shape[1], raw.periods, raw.given,
-                  tuple(c.shape[1] for c in source.columns), inside, outside,
-                  tuple((p.first, p.second) for p in stream.pairs))
-    loop, weights = fused_rows(shape), np.ascontiguousarray(mixing.matrix)
-    ends = parts_of(len(stream.blocks), len(raw.program), stream.owner)
+    return Shape(raw.program.instructions, kinds, raw.readings.shape[1], raw.periods, raw.given,
+                 tuple(c.shape[1] for c in source.columns), tuple(a for _, a in stream.inside),
+                 tuple(a for _, a in stream.outside), tuple((p.first, p.second) for p in stream.pairs))
+
+
+def _rows(raw: Raw, weights: Array, stream: Stream, begin: int, end: int) -> dict[str, Array | list[Array | None]]:
+    """What every loop reads of some rows of a stream."""
+    return {"blocks": stream.blocks[begin:end], "bases": [f[0] for f in raw.feeds],
+            "indices": [f[1] for f in raw.feeds], "weights": weights, "owner": stream.owner[begin:end],
+            "places": stream.places[:, begin:], "index": [p.index[begin:end] for p in stream.pairs]}
+
+
+def accumulate_compiled(sums: Sums, source: Source, stream: Stream) -> bool:
+    """Add the rows of a stream by a compiled loop; False where it does not pay or cannot be done so."""
+    raw, shape = source.raw, _shape(source, stream)
+    if raw is None or shape is None:
+        return False
+    loop, weights = fused_rows(shape, SUMS), np.ascontiguousarray(source.whitening[stream.mixing].matrix)
     shares = []
-    for begin, end in pairwise(ends):
+    for begin, end in pairwise(parts_of(len(stream.blocks), len(raw.program), stream.owner)):
         totals = [np.zeros((len(p.rows), p.rows.shape[1], p.columns.shape[1])) for p in stream.pairs]
         pulls = [np.zeros(p.rows.shape) for p in stream.pairs if p.first == p.second]
         shares.append((begin, end, totals, pulls, np.zeros(1)))
@@ -58,11 +70,9 @@ def accumulate_compiled(sums: Sums, source: Source, stream: Stream) -> bool:
     def run(share: tuple[int, int, list[Array], list[Array], Array]) -> None:
         begin, end, totals, pulls, objective = share
         loop(end - begin, stream.places.shape[1], sums.coupling.shape[1], {
-            "blocks": stream.blocks[begin:end], "bases": [f[0] for f in raw.feeds],
-            "indices": [f[1] for f in raw.feeds], "readings": raw.readings, "weights": weights,
-            "owner": stream.owner[begin:end], "places": stream.places[:, begin:], "inner": sums.inner,
-            "pull": sums.pull_inner, "coupling": sums.coupling, "index": [p.index[begin:end] for p in stream.pairs],
-            "totals": totals, "pulls": pulls, "objective": objective})
+            **_rows(raw, weights, stream, begin, end), "readings": raw.readings, "inner": sums.inner,
+            "pull": sums.pull_inner, "coupling": sums.coupling, "totals": totals, "pulls": pulls,
+            "objective": objective})
 
     run_side_by_side(run, shares)
     if not np.isfinite(sum(share[4][0] for share in shares)):
@@ -75,3 +85,29 @@ def accumulate_compiled(sums: Sums, source: Source, stream: Stream) -> bool:
         sums.add_outer(stream, totals, pulls)
         sums.objective += float(objective[0])
     return True
+
+
+def leverages_compiled(source: Source, streams: Sequence[Stream], half: Array, inner: Array, coupling: Array,
+                       outer: Array) -> Array | None:
+    """Diagonal (n, dim) of J C J' of the whitened readings of a source; None where no compiled loop goes through them.
+
+    streams: of the source; C is half' inner half (m, f, f) of eliminated instances, -half' coupling (f, nnz + 1) of
+    them with outer columns, and outer (S + 1, S + 1); the last places are those of what is held, and zero.
+    """
+    shapes = [_shape(source, stream) for stream in streams]
+    raw = source.raw
+    if raw is None or not all(shapes):
+        return None
+    found = np.zeros(raw.readings.shape)
+    for shape, stream in zip(shapes, streams, strict=True):
+        assert shape is not None
+        loop, weights = fused_rows(shape, LEVERAGES), np.ascontiguousarray(source.whitening[stream.mixing].matrix)
+        totals = [outer[p.rows[:, :, None], p.columns[:, None, :]] for p in stream.pairs]
+
+        def run(share: tuple[int, int], loop=loop, weights=weights, stream=stream, totals=totals) -> None:
+            loop(share[1] - share[0], stream.places.shape[1], coupling.shape[1], {
+                **_rows(raw, weights, stream, *share), "inner": inner, "coupling": coupling, "totals": totals,
+                "half": half, "leverage": found})
+
+        run_side_by_side(run, list(pairwise(parts_of(len(stream.blocks), len(raw.program), stream.owner))))
+    return found

@@ -4,16 +4,20 @@ factored."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cached_property
 
 import numpy as np
 
+from calib.accumulation import leverages_compiled
 from calib.blocks import Array, Block, Index
 from calib.coupling import Coupling
 from calib.factor import RANK_TOLERANCE, Conditions, DenseFactor, gathered, null_space
 from calib.layout import Layout
 from calib.normal import NormalEquations
+from calib.pattern import Source
 
+SURE = 1e3  # how far from the tolerance of the rank a bound on the smallest eigenvalue settles it
 DENSE_SIZE = 250  # unknowns up to which an orthogonal factor of all rows is cheaper than looking for blocks
 
 
@@ -52,26 +56,27 @@ class EliminatedFactor:
             basis, particular = null_space(matrix, conditions.target)
             target = basis.T @ (target - normal @ particular)
             normal = basis.T @ normal @ basis
-        values, axes = np.linalg.eigh(normal) if len(normal) else (np.zeros(0), np.zeros((0, 0)))
-        largest = values[-1] if len(values) else 1.0
-        strong = values > RANK_TOLERANCE * max(largest, 1e-300)
+        self._normal = normal
+        reduced, none = _outer_root(normal)
         weak = sum(a.shape[1] for a in self._weak.values())
-        self.rank = int(strong.sum()) + self._pattern.inner.size - weak
-        self.condition = (
-            float(np.sqrt(largest / values[0]))
-            if len(values) and strong.all()
-            else (1.0 if not len(values) else np.inf)
-        )
-        reduced = axes[:, strong] / np.sqrt(values[strong])
+        self.rank = reduced.shape[1] + self._pattern.inner.size - weak
         mine = reduced if basis is None else basis @ reduced
         self._root = mine / self._wide[:, None]  # covariance of outer = root root'
-        hidden = axes[:, ~strong] if basis is None else basis @ axes[:, ~strong]
+        hidden = none if basis is None else basis @ none
         self._outer_null = hidden / self._wide[:, None]
         pull = reduced.T @ target
         outer_step = (mine @ pull + particular) / self._wide
         self.step = self._whole(self._inner_target - self._coupled.times(outer_step[:, None])[:, :, 0], outer_step)
         self.decrement = float(np.hypot(np.linalg.norm(pull), np.linalg.norm(self._inner_target)))
         self.defect = self._outer_null.shape[1] + weak
+
+    @cached_property
+    def condition(self) -> float:
+        """Of the scaled derivatives that are left when the blocks are eliminated; infinite with a defect among them."""
+        if self._outer_null.shape[1] or not len(self._normal):
+            return np.inf if self._outer_null.shape[1] else 1.0
+        values = np.linalg.eigvalsh(self._normal)
+        return float(np.sqrt(values[-1] / values[0]))
 
     def _whole(self, inner: Array, outer: Array) -> Array:
         """A step (p,) of outer columns and of inner ones (m, f) that stand before their own root."""
@@ -115,12 +120,24 @@ class EliminatedFactor:
         return self._root @ self._root.T
 
     @cached_property
+    def _within(self) -> tuple[Coupling, Array]:
+        """What the outer covariance adds: with the outer columns that rows have in common, and (m, f, f) of inner
+        columns with the identity; both stand before their own root."""
+        within, squares = self._coupled.within(self._outer_covariance)
+        return within, squares + np.eye(self._pattern.freedom)
+
+    @cached_property
     def _eliminated_covariance(self) -> tuple[Array, Coupling]:
         """Covariance (m, f, f) of inner columns, and that with the outer columns which rows have in common."""
-        sampled = self._coupled.sampled(self._outer_covariance)
-        middle = sampled.gram(self._coupled) + np.eye(self._pattern.freedom)
-        turned = self._half.transpose(0, 2, 1)
-        return turned @ middle @ self._half, sampled.mapped(-turned)
+        (within, middle), turned = self._within, self._half.transpose(0, 2, 1)
+        return turned @ middle @ self._half, within.mapped(-turned)
+
+    def leverages(self, source: Source, number: int) -> Array | None:
+        """Diagonal (n, dim) of J C J' of the whitened readings of a source, the `number`th of the pattern; None where
+        no compiled loop goes through them."""
+        within, middle = self._within
+        return leverages_compiled(source, [s for s in self._pattern.streams if s.source == number], self._half, middle,
+                                  within.values, np.pad(self._outer_covariance, (0, 1)))
 
     def _dense_cross(self, owner: Index) -> Array:
         """Covariance (n, f, S) of eliminated instances (n,) with all outer columns."""
@@ -169,7 +186,7 @@ class EliminatedFactor:
     def _between_inner_and_outer(self, owner: Index, slots: Index, known: Array) -> Array:
         cross = self._eliminated_covariance[1]
         places = cross.places(owner, slots)
-        block = cross.values[:, places.T].transpose(2, 0, 1)
+        block = cross.at(owner, places)
         apart = np.flatnonzero(((places < 0) & known).any(axis=1))
         if len(apart):
             block = block.copy()
@@ -185,6 +202,21 @@ class EliminatedFactor:
 
 
 Factor = DenseFactor | EliminatedFactor
+
+
+def _outer_root(normal: Array) -> tuple[Array, Array]:
+    """Matrix (S, rank) whose product with its transpose is the inverse of a normal matrix (S, S), and the axes (S,
+    defect) along which that vanishes."""
+    if not len(normal):
+        return normal, normal
+    with suppress(np.linalg.LinAlgError):
+        root = np.linalg.inv(np.linalg.cholesky(normal)).T
+        # No eigenvalue is beyond the trace, none below this norm: the axes are looked for only where that is in doubt.
+        if SURE * RANK_TOLERANCE * np.trace(normal) * np.vdot(root, root) < 1.0:
+            return root, normal[:, :0]
+    values, axes = np.linalg.eigh(normal)
+    strong = values > RANK_TOLERANCE * max(values[-1], 1e-300)
+    return axes[:, strong] / np.sqrt(values[strong]), axes[:, ~strong]
 
 
 def _roots(small: Array) -> tuple[Array, dict[int, Array]]:

@@ -162,6 +162,13 @@ class Linearisation:
             return elimination.factorise(self.blocks, self.layout, self.conditions)
         return elimination.EliminatedFactor(self._equations, self.conditions)
 
+    def leverages(self, number: int) -> Array | None:
+        """Diagonal (n, dim) of J C J' of the whitened readings of a group; None where no compiled loop goes through
+        them, because they are few or correlated."""
+        if not isinstance(self.factor, elimination.EliminatedFactor):
+            return None
+        return self.factor.leverages(self.groups[number].source(self.layout.free), number)
+
     @cached_property
     def pull(self) -> Array:
         """Where the residuals pull the free columns, J'r (p,)."""

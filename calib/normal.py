@@ -31,19 +31,24 @@ class NormalEquations:
     objective: float
 
     @staticmethod
-    def of(sources: Sequence[Source], pattern: Pattern) -> NormalEquations:
-        """Evaluate and accumulate all rows."""
+    def of(sources: Sequence[Source], pattern: Pattern, left: object = None) -> NormalEquations:
+        """Evaluate and accumulate all rows; left: equations that are of no more use, whose coupling is written over:
+        memory that is there costs less than new."""
         m, f, others = len(pattern.inner), pattern.freedom, len(pattern.outer)
-        sums = Sums(np.zeros((m, f, f)), np.zeros((f, len(pattern.columns) + 1)),
-                    np.zeros((others + 1, others + 1)), np.zeros((m, f)), np.zeros(others + 1))
+        if isinstance(left, NormalEquations) and left.pattern is pattern:
+            coupling = left.coupling.values
+            coupling[:] = 0.0
+        else:
+            coupling = np.zeros((f, len(pattern.columns) + 1))
+        sums = Sums(np.zeros((m, f, f)), coupling, np.zeros((others + 1, others + 1)), np.zeros((m, f)),
+                    np.zeros(others + 1))
         for stream in pattern.streams:
             source = sources[stream.source]
             if not accumulate_compiled(sums, source, stream):
                 _accumulate(sums, source, stream)
         for k in range(f):  # below the diagonal only what compiled loops have added is there
             sums.inner[:, :k, k] = sums.inner[:, k, :k]
-        return NormalEquations(pattern, sums.inner, Coupling(pattern.first, pattern.columns, sums.coupling[:, :-1],
-                                                             others),
+        return NormalEquations(pattern, sums.inner, Coupling(pattern.first, pattern.columns, sums.coupling, others),
                                sums.outer[:others, :others], sums.pull_inner, sums.pull_outer[:others], sums.objective)
 
     def _free(self, inner: Array, outer: Array) -> Array:

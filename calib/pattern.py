@@ -7,7 +7,8 @@ as no block of rows ties together; the others, and those that a condition holds,
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +23,11 @@ PIECE = 4096  # rows at a time: their derivatives and products then stay in the 
 TIED = 8  # instances in one block of rows, beyond which none of them is eliminated
 
 
-def pieces(n: int, width: int = 1) -> Iterator[Index]:
+def pieces(n: int, width: float = 1) -> Iterator[Index]:
     """Numbers 0 to n, some at a time: less where each stands for several rows."""
-    step = max(1, PIECE // width)
+    step = max(1, int(PIECE / width))
     for begin in range(0, n, step):
         yield np.arange(begin, min(begin + step, n))
-
-
-def _distinct(keys: Index) -> Index:
-    """Sorted distinct numbers."""
-    ordered = np.sort(keys)
-    return ordered[np.diff(ordered, prepend=-1) != 0]
 
 
 @dataclass(frozen=True)
@@ -82,7 +77,7 @@ class Stream:
 
     source, mixing: where the rows come from; blocks (M,); inside, outside: (row of the block, argument) whose columns
     are eliminated and are not; owner (M,): the eliminated instance, where there is one; places (O, M): where the
-    products with outer columns stand in the coupling; alone: whether every place is met once; pairs.
+    products with outer columns stand in the coupling, at `beyond` where held; pairs.
     """
 
     source: int
@@ -92,8 +87,14 @@ class Stream:
     outside: tuple[tuple[int, int], ...]
     owner: Index
     places: Places
-    alone: bool
+    beyond: int
     pairs: tuple[Pair, ...]
+
+    @cached_property
+    def alone(self) -> bool:
+        """Whether every place is met once, but that of what is held."""
+        met = np.bincount(self.places.ravel(), minlength=self.beyond)[: self.beyond]
+        return not met.size or bool(met.max() <= 1)
 
 
 class Pattern:
@@ -121,12 +122,17 @@ class Pattern:
         self._slot = np.full(layout.size, others)
         self._slot[layout.free_columns[self.outer]] = np.arange(others)
         self._units(layout)
-        self.first, self.columns = np.zeros(m + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        self.first, self.columns = np.zeros(m + 1, dtype=np.int64), np.zeros(0, dtype=np.int32)
         numbers = [(s, w) for s, source in enumerate(sources) for w in range(len(source.whitening))]
         plain = [one for (s, w), t in zip(numbers, touched, strict=True)
                  for one in self._streams(s, w, t, len(sources[s].whitening[w].rows))]
-        self._couple(plain, touched, numbers)
-        self.streams = tuple(self._placed(one, touched[numbers.index((one.source, one.mixing))]) for one in plain)
+        theirs = [touched[numbers.index((one.source, one.mixing))] for one in plain]
+        keys = [[one.owner * len(self._width) + self._unit[t[j][a][one.blocks]] for j, a in one.outside]
+                if one.inside else [] for one, t in zip(plain, theirs, strict=True)]
+        met = iter(self._couple([k for some in keys for k in some]))
+        self.streams = tuple(
+            self._placed(one, [c.shape[1] for c in sources[one.source].columns], t, [next(met) for _ in some])
+            for one, t, some in zip(plain, theirs, keys, strict=True))
 
     def _units(self, layout: Layout) -> None:
         """Outer columns of one instance stand together: its unit, and the place of every column within it."""
@@ -143,8 +149,8 @@ class Pattern:
         """The `many` blocks of one row operation, split by which of their arguments are eliminated."""
         m = len(self.inner)
         names = [(j, a) for j, arguments in enumerate(touched) for a in range(len(arguments))]
-        firsts = [c[:, 0] for arguments in touched for c in arguments]
-        seen = [bool((self._slot[c] < len(self.outer)).any()) for arguments in touched for c in arguments]
+        firsts = [c for arguments in touched for c in arguments]
+        seen = [bool(self._width[self._unit[c]].any()) for c in firsts]
         inside = np.array([self._owner[f] < m for f in firsts]).reshape(len(firsts), many)
         uniform = bool(np.all(inside == inside[:, :1]))
         kinds, kind = (inside[:, :1], None) if uniform else np.unique(inside, axis=1, return_inverse=True)
@@ -158,59 +164,65 @@ class Pattern:
                 blocks, owner = blocks[order], owner[order]
             outer = tuple(names[k] for k in range(len(names)) if not which[k] and seen[k])
             found.append(Stream(source, mixing, blocks, tuple(names[k] for k in inner), outer, owner,
-                                np.zeros((0, 0), dtype=np.int32), True, ()))
+                                np.zeros((0, 0), dtype=np.int32), 0, ()))
         return found
 
-    def _keys(self, stream: Stream, touched: list[list[Index]]) -> list[Index]:
-        """For each outer argument a number that tells instance and unit together."""
-        units = len(self._width)
-        return [stream.owner * units + self._unit[touched[j][a][stream.blocks, 0]] for j, a in stream.outside]
-
-    def _couple(self, streams: Sequence[Stream], touched: list, numbers: list) -> None:
-        """Find which outer units each eliminated instance meets."""
-        keys = [k for s in streams if s.inside
-                for k in self._keys(s, touched[numbers.index((s.source, s.mixing))])]
-        self._met = _distinct(np.concatenate(keys)) if keys else np.zeros(0, dtype=np.int64)
-        owner, unit = np.divmod(self._met, max(len(self._width), 1))
+    def _couple(self, keys: Sequence[Index]) -> list[Places]:
+        """Find which outer units each eliminated instance meets, and for each number that tells both (and is taken out
+        of its list) where their products begin."""
+        met, which = _ranked(keys)
+        owner, unit = np.divmod(met, max(len(self._width), 1))
         width = self._width[unit]
-        self._begin = np.concatenate([[0], np.cumsum(width)])
+        begin = np.concatenate([[0], np.cumsum(width)])
         self.first = np.concatenate([[0], np.cumsum(np.bincount(owner, width, len(self.inner)))]).astype(np.int64)
-        inside = np.arange(self._begin[-1]) - np.repeat(self._begin[:-1], width)
-        self.columns = np.repeat(self._start[unit], width) + inside
+        inside = np.arange(begin[-1]) - np.repeat(begin[:-1], width)
+        self.columns = (np.repeat(self._start[unit], width) + inside).astype(np.int32)
+        return [begin.astype(np.int32)[one] for one in which]
 
-    def _placed(self, stream: Stream, touched: list[list[Index]]) -> Stream:
-        """The stream with the places of its products."""
-        places, dump = [], len(self.columns)
-        if stream.inside:
-            for (j, a), key in zip(stream.outside, self._keys(stream, touched), strict=True):
-                within = self._within[touched[j][a][stream.blocks]].T
-                begin = self._begin[np.searchsorted(self._met, key)]
-                places.append(np.where(within >= 0, begin + within, dump).astype(np.int32))
-        every = np.ascontiguousarray(np.concatenate(places)) if places else np.zeros((0, len(stream.blocks)), np.int32)
-        kept = every[every < dump]
-        alone = not kept.size or bool(np.bincount(kept).max() <= 1)
+    def _placed(self, stream: Stream, freedoms: list[int], touched: list[list[Index]], begins: list[Places]) -> Stream:
+        """The stream with the places of its products; begins: of those of each outer argument."""
+        outside = [(touched[j][a][stream.blocks], freedoms[a]) for j, a in stream.outside]
+        beyond, wide = len(self.columns), [f for _, f in outside if stream.inside]
+        every = np.empty((sum(wide), len(stream.blocks)), dtype=np.int32)
+        for (first, freedom), begin, end in zip(outside, begins, np.cumsum(wide), strict=False):
+            for k, row in enumerate(every[end - freedom : end]):
+                within = self._within[first + k]
+                np.add(begin, within, out=row)
+                row[within < 0] = beyond
         pairs, many = [], len(self._width)
-        for s, (j, a) in enumerate(stream.outside):
-            for t, (k, b) in enumerate(stream.outside[s:], s):
-                rows, columns = touched[j][a][stream.blocks], touched[k][b][stream.blocks]
-                units = self._unit[rows[:, 0]]
+        for s, (mine, freedom) in enumerate(outside):
+            for t, (other, more) in enumerate(outside[s:], s):
+                units = self._unit[mine]
                 if s == t:  # no need to sort: there are not many units
                     chosen = np.full(many, -1)
                     chosen[units] = np.arange(len(units))
                     index = (np.cumsum(chosen >= 0) - 1)[units]
                     chosen = chosen[chosen >= 0]
                 else:
-                    _, chosen, index = np.unique(units * many + self._unit[columns[:, 0]], return_index=True,
+                    _, chosen, index = np.unique(units * many + self._unit[other], return_index=True,
                                                  return_inverse=True)
-                pairs.append(Pair(s, t, index.ravel().astype(np.int32), self._slot[rows[chosen]],
-                                  self._slot[columns[chosen]]))
-        return Stream(stream.source, stream.mixing, stream.blocks, stream.inside, stream.outside, stream.owner, every,
-                      alone, tuple(pairs))
+                pairs.append(Pair(s, t, index.ravel().astype(np.int32),
+                                  self._slot[mine[chosen][:, None] + np.arange(freedom)],
+                                  self._slot[other[chosen][:, None] + np.arange(more)]))
+        return replace(stream, places=every, beyond=beyond, pairs=tuple(pairs))
+
+
+def _ranked(keys: Sequence[Index]) -> tuple[Index, list[Index]]:
+    """Sorted distinct numbers, and for each of several arrays which of these they are."""
+    if not keys:
+        return np.zeros(0, dtype=np.int64), []
+    every = np.concatenate(keys)
+    order = np.argsort(every, kind="stable")  # rows mostly come in order, of which this sort makes use
+    ordered = every[order]
+    new = np.diff(ordered, prepend=-1) != 0
+    which = np.empty(len(every), dtype=np.int32)
+    which[order] = np.cumsum(new, dtype=np.int32) - 1
+    return ordered[new], np.split(which, np.cumsum([len(k) for k in keys])[:-1])
 
 
 def _touched(source: Source, mixing: Mixing) -> list[list[Index]]:
-    """Columns (M, f) of each argument of each row of the blocks of a row operation."""
-    return [[c[mixing.rows[:, j]] for c in source.columns] for j in range(mixing.rows.shape[1])]
+    """First column (M,) of each argument of each row of the blocks of a row operation; the others follow it."""
+    return [[c[:, 0][rows] for c in source.columns] for rows in mixing.rows.T]
 
 
 def _eliminated(touched: Sequence[list[list[Index]]], layout: Layout, taken: NDArray[np.bool_]
@@ -226,8 +238,8 @@ def _eliminated(touched: Sequence[list[list[Index]]], layout: Layout, taken: NDA
             continue
         edges = []
         for rows in touched:
-            mine = [(c[:, 0] - span.start) // unknown.freedom for arguments in rows for c in arguments
-                    if len(c) and span.start <= c[0, 0] < span.stop]
+            mine = [(c - span.start) // unknown.freedom for arguments in rows for c in arguments
+                    if len(c) and span.start <= c[0] < span.stop]
             apart = [m for m in mine[1:] if not np.array_equal(m, mine[0])]
             if len(apart) >= TIED:
                 good[np.unique(np.concatenate(mine))] = False

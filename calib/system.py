@@ -60,8 +60,11 @@ class Term(Generic[B]):
 
     def predict(self, values: Values) -> Array:
         """Predictions (n, dim)."""
-        nothing = (False,) * len(self.feeds)
-        return np.ascontiguousarray(self.traced.program(nothing)(self._inputs(values), self.n).T)
+        program, found = self.traced.program((False,) * len(self.feeds)), np.empty((self.n, self.dim))
+        compiled = program.pays(self.n)
+        for rows in pieces(self.n, 1 / 8):  # what is gathered for all rows at once would need much memory
+            found[rows] = program.run(self._inputs(values, rows), len(rows), compiled).T
+        return found
 
     def wanted(self, held_too: bool) -> tuple[bool, ...]:
         """Which arguments have derivatives: those with anything free, or all unknowns."""
@@ -348,21 +351,19 @@ class System:
                     taken += len(array[rows])
         return [a.reshape(t.n, t.dim) for a, t in zip(arrays, self.conditions, strict=True)]
 
-    def second_order(self, values: Values, weightings: Sequence[Weighting], multipliers: Array) -> Array:
-        """What the exact Hessian of half v'Pv and of the conditions adds to the normal matrix, over the free
-        columns."""
+    def second_order(self, values: Values, weighed: Sequence[Array], multipliers: Array) -> Array:
+        """What the exact Hessian of half v'Pv and of the conditions adds to the normal matrix, over the free columns;
+        weighed: P v (n, dim) of every group."""
         matrix = np.zeros((self.layout.size, self.layout.size))
-        for term, weights in self._bent(values, weightings, multipliers):
+        for term, weights in self._bent(values, weighed, multipliers):
             columns, hessians = term.curvature(values, weights)
             np.add.at(matrix, (columns[:, :, None], columns[:, None, :]), hessians)
         return matrix[np.ix_(self.layout.free_columns, self.layout.free_columns)]
 
-    def bend(
-        self, values: Values, weightings: Sequence[Weighting], multipliers: Array
-    ) -> Callable[[Array], Array] | None:
+    def bend(self, values: Values, weighed: Sequence[Array], multipliers: Array) -> Callable[[Array], Array] | None:
         """Multiplies a step (p,) of the free columns by what `second_order` returns, without forming it; None where
         everything is affine."""
-        terms = [term.bend(values, weights) for term, weights in self._bent(values, weightings, multipliers)]
+        terms = [term.bend(values, weights) for term, weights in self._bent(values, weighed, multipliers)]
         free = self.layout.free_columns
 
         def product(step: Array) -> Array:
@@ -374,17 +375,12 @@ class System:
 
         return product if terms else None
 
-    def _bent(
-        self, values: Values, weightings: Sequence[Weighting], multipliers: Array
-    ) -> list[tuple[Term[Any], Array]]:
+    def _bent(self, values: Values, weighed: Sequence[Array], multipliers: Array) -> list[tuple[Term[Any], Array]]:
         """Terms whose prediction is bent in what is free, each with the weights (n, dim) of its second derivatives."""
-        weighed = [-w.weigh(r) for w, r in zip(weightings, self.residuals(values), strict=True)]
         terms: list[Term[Any]] = [*self.terms, *self.conditions]
-        return [
-            (term, weights)
-            for term, weights in zip(terms, [*weighed, *self.forces(values, multipliers)], strict=True)
-            if term.n and not term.traced.affine and any(term.any_free)
-        ]
+        weights = [*(-w for w in weighed), *self.forces(values, multipliers)]
+        return [(term, w) for term, w in zip(terms, weights, strict=True)
+                if term.n and not term.traced.affine and any(term.any_free)]
 
     def at_bounds(self, values: Values) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Which free columns (p,) sit at their lower, and which at their upper bound."""

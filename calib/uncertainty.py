@@ -164,7 +164,8 @@ class _Independent(Gaussian):
 
     def weighting(self, n, dim, where, quantities=None):  # type: ignore[no-untyped-def]
         u, rows = _checked(self.u, n, dim, where), _whole_rows(n)
-        return Weighting(u, (Mixing(rows, 1 / u),), (Mixing(rows, u**-2.0),), (Mixing(rows, u),))
+        inverse = 1 / u
+        return Weighting(u, (Mixing(rows, inverse),), (Mixing(rows, inverse * inverse),), (Mixing(rows, u),))
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,11 @@ def at(problem, values):
 
 def both(system, stored, fit):
     """The smallest curvature by directions, and from the whole Hessian within the conditions."""
-    weightings = [g.weighting for g in fit.groups]
+    weighed = [g.weighting.weigh(g.residual) for g in fit.groups]
     nothing = np.zeros(len(system.conditions))
-    found = smallest_curvature(system.bend(stored, weightings, nothing), fit)
+    found = smallest_curvature(system.bend(stored, weighed, nothing), fit)
     root = fit.factor.root
-    second = system.second_order(stored, weightings, nothing)
+    second = system.second_order(stored, weighed, nothing)
     return found, 1.0 + float(np.linalg.eigvalsh(root.T @ second @ root)[0])
 
 
@@ -67,6 +67,6 @@ def test_within_conditions_only_directions_that_keep_them_count():
 def test_affine_problems_are_straight_without_a_search():
     a = Unknown("a", 1.0)
     estimate = solve(Problem([Observations(lambda v: 2 * v, a, readings=[2.0, 2.1], u=0.1)]))
-    assert System(estimate.problem).bend(estimate.values, [g.weighting for g in linearise(estimate).groups],
-                                         np.zeros(0)) is None
+    weighed = [g.weighting.weigh(g.residual) for g in linearise(estimate).groups]
+    assert System(estimate.problem).bend(estimate.values, weighed, np.zeros(0)) is None
     assert estimate.certificate.curvature == 1.0

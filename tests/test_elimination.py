@@ -16,6 +16,7 @@ from calib import (
     covariance,
     elimination,
     estimability,
+    linearisation,
     linearise,
     prior,
     reliability,
@@ -154,17 +155,20 @@ def test_a_message_lists_the_first_of_many_directions():
 
 
 @pytest.mark.skipif(not available(), reason="llvmlite is not installed")
+@pytest.mark.parametrize("thin", [True, False])
 @pytest.mark.parametrize("case", CASES)
-def test_compiled_loops_give_the_factor_of_numpy(case, monkeypatch, tmp_path):
+def test_compiled_loops_give_the_factor_of_numpy(case, thin, monkeypatch, tmp_path):
     monkeypatch.setenv("CALIB_CACHE", str(tmp_path))
     monkeypatch.setattr(elimination, "DENSE_SIZE", 1)
-    monkeypatch.setattr(coupling, "THIN", 2.0)  # so that sparse products are compiled too
+    monkeypatch.setattr(linearisation, "STORED", 0)
+    monkeypatch.setattr(coupling, "THIN", 2.0 if thin else 0.0)
     problem = CASES[case](*network(4, 15, 1))
     found = {}
     for name in ("numpy", "compiled"):
         with row_back_end(name):
             fit = linearise(problem)
             found[name] = [fit.factor.matrix, fit.factor.step, fit.pull, reliability(fit).redundancy, solve(problem)]
+            assert (fit.leverages(0) is not None) == (name == "compiled")
     for one, other in zip(found["numpy"][:4], found["compiled"][:4], strict=True):
         assert np.abs(one - other).max() <= 1e-9 * np.abs(one).max()
     one, other = found["numpy"][4], found["compiled"][4]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from statistics import NormalDist
 
 import numpy as np
@@ -23,20 +24,12 @@ INVISIBLE = 1e-10  # redundancy number below which a reading is not controlled b
 class Reliability:
     """Arrays over all N scalar readings, priors included, group by group and row by row.
 
-    group, row, component: where each stands; unit: display unit; reading, predicted, residual, u: SI (reading is not a
-    number where planned); redundancy: (Q_vv P)_ii in [0, 1]; w: standardised residual; p_value: of |w|, two-sided;
-    mdb: minimal detectable bias, SI, infinite where nothing controls the reading;
-    influence: {result: (N,)} change of the result by a bias of size mdb, SI (zero where the mdb is infinite).
+    groups: of the linearisation; redundancy: (Q_vv P)_ii in [0, 1]; w: standardised residual; p_value: of |w|,
+    two-sided; mdb: minimal detectable bias, SI, infinite where nothing controls the reading; influence: {result: (N,)}
+    change of the result by a bias of size mdb, SI (zero where the mdb is infinite).
     """
 
-    group: NDArray
-    row: NDArray
-    component: NDArray
-    unit: NDArray
-    reading: Array
-    predicted: Array
-    residual: Array
-    u: Array
+    groups: tuple[Group, ...]
     redundancy: Array
     w: Array
     p_value: Array
@@ -46,7 +39,51 @@ class Reliability:
     power: float
 
     def __len__(self) -> int:
-        return len(self.row)
+        return len(self.redundancy)
+
+    def _of_each(self, take: Callable[[Group], NDArray]) -> NDArray:
+        """What is taken of every group, (n, dim) or what can be repeated to that, reading by reading."""
+        return _one_after_another([np.broadcast_to(take(g), g.residual.shape).ravel() for g in self.groups])
+
+    @cached_property
+    def group(self) -> NDArray:
+        """Name of the group of each reading."""
+        return self._of_each(lambda g: np.array(g.name))
+
+    @cached_property
+    def row(self) -> NDArray:
+        """Row of each reading in the data file."""
+        return self._of_each(lambda g: g.rows[:, None])
+
+    @cached_property
+    def component(self) -> NDArray:
+        """Component of each reading."""
+        return self._of_each(lambda g: np.array(g.components))
+
+    @cached_property
+    def unit(self) -> NDArray:
+        """Display unit of each reading."""
+        return self._of_each(lambda g: np.array(g.units))
+
+    @cached_property
+    def reading(self) -> Array:
+        """Readings, SI; not a number where planned."""
+        return self._of_each(lambda g: np.array(np.nan) if g.readings is None else g.readings)
+
+    @cached_property
+    def predicted(self) -> Array:
+        """Predictions, SI."""
+        return self._of_each(lambda g: g.predicted)
+
+    @cached_property
+    def residual(self) -> Array:
+        """Reading minus prediction, SI."""
+        return self._of_each(lambda g: g.residual)
+
+    @cached_property
+    def u(self) -> Array:
+        """Standard uncertainties, SI."""
+        return self._of_each(lambda g: g.weighting.u)
 
     def of(self, group: str) -> NDArray[np.bool_]:
         """Which readings belong to a group."""
@@ -60,36 +97,47 @@ def reliability(fit: Linearisation, level: float = 0.001, power: float = 0.8) ->
     Returns a Reliability.
     Source: Baarda (1968), A testing procedure for use in geodetic networks; correlated readings: Wang and Chen (1994).
     """
-    bias = NormalDist().inv_cdf(1 - level / 2) + NormalDist().inv_cdf(power)
-    functions = fit.functions() if fit.results else None
-    through = None
-    if functions is not None and len(functions.labels):
-        through = np.zeros((len(functions.labels), fit.layout.size))
-        through[:, fit.layout.free_columns] = fit.factor.solve(fit.free_part(functions.derivatives).T).T
-    found = [_group(fit, group, through) for group in fit.groups]
-    columns = {name: np.concatenate([one[name] for one in found]) for name in found[0]} if len(found) > 1 else found[0]
-    influences = columns.pop("influence")
     from scipy.special import erfc
 
-    scale, redundancy = columns.pop("scale"), columns["redundancy"]
+    bias = NormalDist().inv_cdf(1 - level / 2) + NormalDist().inv_cdf(power)
+    functions = fit.functions() if fit.results else None
+    through, labels = None, functions.labels if functions is not None else ()
+    if functions is not None and labels:
+        through = np.zeros((len(labels), fit.layout.size))
+        through[:, fit.layout.free_columns] = fit.factor.solve(fit.free_part(functions.derivatives).T).T
+    found = [_group(fit, number, through) for number in range(len(fit.groups))]
+    redundancy, weighed, scale, influences = (
+        _one_after_another([p.reshape(p.shape[0] * p.shape[1], *p.shape[2:]) for p in parts])
+        for parts in zip(*found, strict=True))
     controlled = redundancy > INVISIBLE
     safe = np.where(controlled, scale, 1.0)
-    w = np.where(controlled, columns.pop("weighed") / safe, 0.0)
+    w = np.where(controlled, weighed / safe, 0.0)
     mdb = np.where(controlled, bias / safe, np.inf)
-    influence = (
-        {}
-        if functions is None
-        else {
-            label: np.where(controlled, influences[:, k] * np.where(controlled, mdb, 0.0), 0.0)
-            for k, label in enumerate(functions.labels)
-        }
-    )
-    return Reliability(
-        **columns, w=w, p_value=erfc(np.abs(w) / np.sqrt(2)), mdb=mdb, influence=influence, level=level, power=power
-    )
+    influence = {label: np.where(controlled, influences[:, k] * np.where(controlled, mdb, 0.0), 0.0)
+                 for k, label in enumerate(labels)}
+    return Reliability(fit.groups, redundancy, w, erfc(np.abs(w) / np.sqrt(2)), mdb, influence, level, power)
 
 
-def _group(fit: Linearisation, group: Group, through: Array | None) -> dict[str, NDArray]:
+def _one_after_another(arrays: Sequence[NDArray]) -> NDArray:
+    """Joined arrays; a single one is not copied."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+
+def _group(fit: Linearisation, number: int, through: Array | None) -> tuple[Array, Array, Array, Array]:
+    """Redundancy, P v and the root of (P - P J C J' P)_ii of a group, all (n, dim), and what a bias of one unit changes
+    (n, dim, k)."""
+    group = fit.groups[number]
+    leverage = fit.leverages(number) if through is None else None
+    if leverage is None:
+        return _piecewise(fit, group, through)
+    weight = group.weighting.weights[0].matrix
+    redundancy = np.subtract(1.0, leverage, out=leverage)
+    return redundancy, weight * group.residual, np.sqrt(np.maximum(weight * redundancy, 0.0)), np.zeros(
+        (*redundancy.shape, 0))
+
+
+def _piecewise(fit: Linearisation, group: Group, through: Array | None) -> tuple[Array, Array, Array, Array]:
+    """The same by derivatives of some rows at a time."""
     n, dim = group.residual.shape
     redundancy, weighed, scale = np.empty((n, dim)), np.empty((n, dim)), np.empty((n, dim))
     influence = np.zeros((n, dim, 0 if through is None else len(through)))
@@ -117,21 +165,7 @@ def _group(fit: Linearisation, group: Group, through: Array | None) -> dict[str,
             if through is not None:
                 influence[rows] = placed(sum(
                     np.einsum("fdm,kmf->kdm", one, through[:, columns]) for columns, one in pull))
-    readings = np.full((n, dim), np.nan) if group.readings is None else group.readings
-    return {
-        "group": np.full(n * dim, group.name),
-        "row": np.repeat(group.rows, dim),
-        "component": np.tile(np.array(group.components), n),
-        "unit": np.tile(np.array(group.units), n),
-        "reading": readings.ravel(),
-        "predicted": group.predicted.ravel(),
-        "residual": group.residual.ravel(),
-        "u": group.weighting.u.ravel(),
-        "redundancy": redundancy.ravel(),
-        "weighed": weighed.ravel(),
-        "scale": scale.ravel(),
-        "influence": influence.reshape(n * dim, -1),
-    }
+    return redundancy, weighed, scale, influence
 
 
 Derived = list[tuple[Index, Array]]  # columns (m, f) and derivatives (f, d, m) of the same d numbers in m blocks

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.compiled import sparse
-from calib.compiled.fused import POINTERS, Shape
+from calib.compiled.fused import LEVERAGES, POINTERS, SUMS, Shape
 from calib.compiled.intermediate import Instruction
 from calib.errors import CalibrationError
 
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     from calib.compiled.machine import Compiler
 
-__all__ = ["CompiledRows", "Instruction", "Shape", "available", "fused_rows", "parts_of", "pays", "row_back_end",
-           "run_side_by_side", "sparse", "sparse_loop", "threads"]
+__all__ = ["LEVERAGES", "SUMS", "CompiledRows", "Instruction", "Shape", "available", "fused_rows", "parts_of", "pays",
+           "row_back_end", "run_side_by_side", "sparse", "sparse_loop", "threads"]
 
 Array = NDArray[Any]
 T = TypeVar("T")
@@ -140,25 +140,25 @@ class CompiledRows:
 
 
 @lru_cache(maxsize=64)
-def fused_rows(shape: Shape) -> FusedRows:
-    """The compiled loop of a shape, written once."""
-    return FusedRows(shape)
+def fused_rows(shape: Shape, task: str) -> FusedRows:
+    """The compiled loop of a shape for a task (SUMS or LEVERAGES), written once."""
+    return FusedRows(shape, task)
 
 
 class FusedRows:
-    """A compiled loop over rows that adds their products to normal equations; safe to call from several threads.
+    """A compiled loop over rows that uses their derivatives at once; safe to call from several threads.
 
-    shape: what it is written for. Raises CalibrationError where rows cannot be compiled here.
+    shape, task: what it is written for. Raises CalibrationError where rows cannot be compiled here.
     """
 
-    def __init__(self, shape: Shape):
+    def __init__(self, shape: Shape, task: str):
         self._compiler = _compiler()  # whose memory holds the code
-        self._loop = self._compiler.loop(shape)
+        self._loop, self._pointers = self._compiler.loop(shape, task), POINTERS[task]
 
     def __call__(self, count: int, far: int, wide: int, arrays: Mapping[str, Array | Sequence[Array | None]]) -> None:
-        """Add `count` rows; arrays: for each of POINTERS an array, or several, contiguous in their rows."""
+        """Go through `count` rows; arrays: for each pointer an array, or several, contiguous in their rows."""
         kept, places = [], []
-        for name in POINTERS:
+        for name in self._pointers:
             given = arrays[name]
             if not isinstance(given, np.ndarray):
                 given = np.array([0 if a is None else _address(a) for a in given] or [0], dtype=np.uint64)
@@ -173,12 +173,10 @@ def _sparse(kind: Callable[[int], str], freedom: int) -> tuple[Compiler, Callabl
     return here, here.sparse(kind, freedom)
 
 
-def sparse_loop(kind: Callable[[int], str], begin: int, end: int, others: int, first: Array, columns: Array,
-                values: Array, out: Array, half: Array | None = None, matrix: Array | None = None) -> None:
-    """Run a loop of calib.compiled.sparse over the blocks from begin to end; the arrays are those of a Coupling."""
-    _, run = _sparse(kind, len(values))
-    pointers = [0 if a is None else _address(a) for a in (first, columns, half, values, matrix, out)]
-    run(begin, end, values.strides[0] // 8, others, *pointers)
+def sparse_loop(kind: Callable[[int], str], numbers: Sequence[int], arrays: Mapping[str, Array], freedom: int) -> None:
+    """Run a loop of calib.compiled.sparse with its NUMBERS and those of its POINTERS that it needs."""
+    _, run = _sparse(kind, freedom)
+    run(*numbers, *[_address(arrays[name]) if name in arrays else 0 for name in sparse.POINTERS])
 
 
 def _address(array: Array) -> int:

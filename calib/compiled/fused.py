@@ -1,7 +1,7 @@
-"""Rows whose products go straight into normal equations: gather, evaluate, whiten and accumulate in one compiled loop.
+"""Rows whose derivatives are used at once: gather, evaluate, whiten, and accumulate or weigh in one compiled loop.
 
-Some rows at a time are evaluated in the lanes of vectors; their products are then added row by row, while they are in
-the cache. No derivative is ever stored.
+Some rows at a time are evaluated in the lanes of vectors; row by row, while they are in the cache, their products are
+then added to normal equations (SUMS), or multiplied by what comes of these (LEVERAGES). No derivative is ever stored.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calib.compiled.intermediate import ATTRIBUTES, Instruction, Writer
+from calib.compiled.intermediate import ATTRIBUTES, Instruction, Writer, needed
 
 SHARED, INDEXED, OWN = "shared", "indexed", "own"  # an input is one number, that of an instance, or that of the row
 
@@ -35,8 +35,9 @@ class Shape:
     pairs: tuple[tuple[int, int], ...]
 
 
-POINTERS = ("blocks", "bases", "indices", "readings", "weights", "owner", "places", "inner", "pull", "coupling",
-            "index", "totals", "pulls", "objective")
+SUMS, LEVERAGES = "sums", "leverages"
+_ALWAYS = ("blocks", "bases", "indices", "weights", "owner", "places", "inner", "coupling", "index", "totals")
+POINTERS = {SUMS: (*_ALWAYS, "readings", "pull", "pulls", "objective"), LEVERAGES: (*_ALWAYS, "half", "leverage")}
 
 
 class _Lines:
@@ -57,11 +58,15 @@ class _Lines:
         """Sum or product of whole numbers."""
         return self.value(f"{operation} i64 {a}, {b}")
 
+    def sum(self, total: str, left: str, right: str) -> str:
+        """A sum and a product more."""
+        return self.value(f"fadd contract double {total}, {self.value(f'fmul contract double {left}, {right}')}")
+
     def dot(self, left: Sequence[str], right: Sequence[str]) -> str:
         """Sum of products."""
         total = self.value(f"fmul contract double {left[0]}, {right[0]}")
         for a, b in zip(left[1:], right[1:], strict=True):
-            total = self.value(f"fadd contract double {total}, {self.value(f'fmul contract double {a}, {b}')}")
+            total = self.sum(total, a, b)
         return total
 
     def add(self, base: str, offset: str | int, number: str) -> None:
@@ -71,24 +76,24 @@ class _Lines:
         self.lines.append(f"  store double {self.value(f'fadd double {there}, {number}')}, ptr {place}, align 8")
 
 
-def fused(shape: Shape, lanes: int) -> str:
+def fused(shape: Shape, task: str, lanes: int) -> str:
     """LLVM IR of `rows(count, far, wide, pointers...)` for blocks that are single rows.
 
-    far, wide: distances of the rows of places and of coupling; pointers in the order of POINTERS, of which bases,
-    indices, index, totals and pulls are arrays of pointers.
+    task: SUMS or LEVERAGES; far, wide: distances of the rows of places and of coupling; pointers in the order of
+    POINTERS of the task, of which bases, indices, index, totals and pulls are arrays of pointers.
     """
     writer = Writer(lanes)
     lines = _Lines(writer)
     counts = {"bases": len(shape.feeds), "indices": len(shape.feeds), "index": len(shape.pairs),
-              "totals": len(shape.pairs), "pulls": len(shape.outside)}
+              "totals": len(shape.pairs), **({"pulls": len(shape.outside)} if task == SUMS else {})}
     fixed = {(name, k): lines.load(f"%{name}", k, "ptr") for name, many in counts.items() for k in range(many)}
     first = len(writer.lines)
-    _evaluate(writer, lines, shape, fixed)
+    _evaluate(writer, lines, shape, task, fixed)
     kept = shape.dim * (1 + sum(shape.freedoms))
     second = len(writer.lines)
-    _products(lines, shape, lanes, fixed)
+    (_products if task == SUMS else _leverages)(lines, shape, lanes, fixed)
     return "\n".join([
-        f"define void @rows(i64 %count, i64 %far, i64 %wide, {', '.join(f'ptr %{p}' for p in POINTERS)}) #0 {{",
+        f"define void @rows(i64 %count, i64 %far, i64 %wide, {', '.join(f'ptr %{p}' for p in POINTERS[task])}) #0 {{",
         "entry:", f"  %scratch = alloca [{kept * lanes} x double], align {8 * lanes}", *writer.lines[:first],
         "  %last = sub i64 %count, 1", "  br label %head",
         "head:", "  %row = phi i64 [ 0, %entry ], [ %next, %after ]",
@@ -103,8 +108,9 @@ def fused(shape: Shape, lanes: int) -> str:
     ])
 
 
-def _evaluate(writer: Writer, lines: _Lines, shape: Shape, fixed: dict[tuple[str, int], str]) -> None:
-    """Whitened residuals and derivatives of a vector of rows, (1 + all columns) times dim vectors, into the scratch."""
+def _evaluate(writer: Writer, lines: _Lines, shape: Shape, task: str, fixed: dict[tuple[str, int], str]) -> None:
+    """Whitened residuals (where wanted) and derivatives of a vector of rows, (1 + all columns) times dim vectors, into
+    the scratch."""
     rows = []
     for lane in range(writer.lanes):  # behind the end the last row stands in
         place = lines.value(f"call i64 @llvm.smin.i64(i64 {lines.whole('add', '%row', lane)}, i64 %last)")
@@ -143,26 +149,38 @@ def _evaluate(writer: Writer, lines: _Lines, shape: Shape, fixed: dict[tuple[str
                 residual = writer.operation("SUB", residual, writer.operation("MUL", writer.constant(period), turns))
         keep(number, residual)
 
-    writer.run(shape.instructions, inputs.__getitem__, store)
+    wanted = shape.instructions if task == SUMS else needed(shape.instructions, shape.dim)
+    writer.run(wanted, inputs.__getitem__, store)
+
+
+def _row(lines: _Lines, shape: Shape, lanes: int) -> tuple[list[str], list[list[str]], list[list[list[str]]]]:
+    """Of one row the whitened residual (dim), and the derivatives (f, dim) of what is eliminated, with (O, f, dim) of
+    what is not."""
+    lane = lines.whole("sub", "%one", "%row")
+    numbers = [lines.load("%scratch", lines.whole("add", lane, k * lanes))
+               for k in range(shape.dim * (1 + sum(shape.freedoms)))]
+    columns, begin = [], shape.dim
+    for freedom in shape.freedoms:
+        columns.append([numbers[begin + c * shape.dim : begin + (c + 1) * shape.dim] for c in range(freedom)])
+        begin += freedom * shape.dim
+    mine = columns[shape.inside[0]] if shape.inside else []
+    for a in shape.inside[1:]:
+        mine = [[lines.value(f"fadd double {x}, {y}") for x, y in zip(old, new, strict=True)]
+                for old, new in zip(mine, columns[a], strict=True)]
+    return numbers[: shape.dim], mine, [columns[a] for a in shape.outside]
+
+
+def _place(lines: _Lines, number: int) -> str:
+    """Where the products of one outer column stand in a row of the coupling."""
+    place = lines.load("%places", lines.whole("add", lines.whole("mul", "%far", number), "%one"), "i32")
+    return lines.value(f"zext i32 {place} to i64")
 
 
 def _products(lines: _Lines, shape: Shape, lanes: int, fixed: dict[tuple[str, int], str]) -> None:
     """Add the products of one row to the normal equations."""
-    lane = lines.whole("sub", "%one", "%row")
-    numbers = [lines.load("%scratch", lines.whole("add", lane, k * lanes))
-               for k in range(shape.dim * (1 + sum(shape.freedoms)))]
-    residual, columns = numbers[: shape.dim], []
-    begin = shape.dim
-    for freedom in shape.freedoms:
-        columns.append([numbers[begin + c * shape.dim : begin + (c + 1) * shape.dim] for c in range(freedom)])
-        begin += freedom * shape.dim
+    residual, mine, outside = _row(lines, shape, lanes)
     lines.add("%objective", 0, lines.dot(residual, residual))
-    outside = [columns[a] for a in shape.outside]
-    if shape.inside:
-        mine = columns[shape.inside[0]]
-        for a in shape.inside[1:]:
-            mine = [[lines.value(f"fadd double {x}, {y}") for x, y in zip(old, new, strict=True)]
-                    for old, new in zip(mine, columns[a], strict=True)]
+    if mine:
         f, owner = len(mine), lines.load("%owner", "%one", "i64")
         square, single = lines.whole("mul", owner, f * f), lines.whole("mul", owner, f)
         for k in range(f):
@@ -170,8 +188,7 @@ def _products(lines: _Lines, shape: Shape, lanes: int, fixed: dict[tuple[str, in
             for j in range(k + 1):
                 lines.add("%inner", lines.whole("add", square, k * f + j), lines.dot(mine[k], mine[j]))
         for o, column in enumerate(c for one in outside for c in one):
-            place = lines.load("%places", lines.whole("add", lines.whole("mul", "%far", o), "%one"), "i32")
-            place = lines.value(f"zext i32 {place} to i64")
+            place = _place(lines, o)
             for k in range(f):
                 lines.add("%coupling", lines.whole("add", lines.whole("mul", "%wide", k), place),
                           lines.dot(mine[k], column))
@@ -185,3 +202,40 @@ def _products(lines: _Lines, shape: Shape, lanes: int, fixed: dict[tuple[str, in
                           lines.dot(outside[s][a], outside[t][b]))
             if s == t:
                 lines.add(fixed["pulls", s], lines.whole("add", alone, a), lines.dot(outside[s][a], residual))
+
+
+def _leverages(lines: _Lines, shape: Shape, lanes: int, fixed: dict[tuple[str, int], str]) -> None:
+    """The diagonal of J C J' of one row. C is half' inner half of an eliminated instance, -half' coupling of it with
+    the outer columns, and totals of these."""
+    _, mine, outside = _row(lines, shape, lanes)
+    components = range(shape.dim)
+    f, total, crossed = len(mine), ["0.0"] * shape.dim, list(mine)
+    if mine:
+        owner = lines.whole("mul", lines.load("%owner", "%one", "i64"), f * f)
+        half, inner = ([[lines.load(base, lines.whole("add", owner, k * f + j)) for j in range(f)] for k in range(f)]
+                       for base in ("%half", "%inner"))
+        through = [[lines.dot(row, [m[d] for m in mine]) for d in components] for row in half]
+        crossed = [[lines.dot(row, [t[d] for t in through]) for d in components] for row in inner]
+        for o, column in enumerate(c for one in outside for c in one):
+            place = _place(lines, o)
+            for k in range(f):
+                met = lines.load("%coupling", lines.whole("add", lines.whole("mul", "%wide", k), place))
+                twice = lines.value(f"fmul double {met}, -2.0")
+                crossed[k] = [lines.sum(crossed[k][d], twice, column[d]) for d in components]
+        total = [lines.dot([t[d] for t in through], [c[d] for c in crossed]) for d in components]
+    for p, (s, t) in enumerate(shape.pairs):
+        index = lines.value(f"zext i32 {lines.load(fixed['index', p], '%one', 'i32')} to i64")
+        g, h = len(outside[s]), len(outside[t])
+        base = lines.whole("mul", index, g * h)
+        for a in range(g):
+            # of a symmetric block the part below the diagonal counts twice, and so does a block that stands there
+            count = a + 1 if s == t else h
+            number = [lines.load(fixed["totals", p], lines.whole("add", base, a * h + b)) for b in range(count)]
+            number = [n if s == t and b == a else lines.value(f"fmul double {n}, 2.0") for b, n in enumerate(number)]
+            for d in components:
+                row = lines.dot(number, [outside[t][b][d] for b in range(count)])
+                total[d] = lines.sum(total[d], outside[s][a][d], row)
+    block = lines.whole("mul", lines.load("%blocks", "%one", "i64"), shape.dim)
+    for d in components:
+        place = lines.at("%leverage", lines.whole("add", block, d))
+        lines.lines.append(f"  store double {total[d]}, ptr {place}, align 8")

@@ -22,6 +22,24 @@ class Instruction(NamedTuple):
     value: float = 0.0
 
 
+def needed(instructions: Sequence[Instruction], begin: int) -> list[Instruction]:
+    """Those instructions without which the outputs from a number on would not be."""
+    live: set[int] = set()
+    found = []
+    for step in reversed(instructions):
+        if step.name == "OUTPUT":
+            if step.out < begin:
+                continue
+        elif step.out not in live:
+            continue
+        else:
+            live.remove(step.out)
+        found.append(step)
+        if step.name not in ("INPUT", "CONST"):
+            live.update(slot for slot in (step.first, step.second) if slot >= 0)
+    return found[::-1]
+
+
 _ARITHMETIC = {"ADD": "fadd", "SUB": "fsub", "MUL": "fmul", "DIV": "fdiv"}
 _INTRINSIC = {"SQRT": "sqrt", "FABS": "fabs", "FLOOR": "floor", "CEIL": "ceil", "COPYSIGN": "copysign"}
 _COMPARISON = {"LT": "olt", "LE": "ole", "EQ": "oeq", "NE": "une"}

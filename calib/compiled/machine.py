@@ -13,9 +13,9 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
+from calib.compiled import sparse
 from calib.compiled.fused import POINTERS, Shape, fused
 from calib.compiled.intermediate import LIBRARY, Instruction, intermediate
-from calib.compiled.sparse import ARGUMENTS
 
 FORMAT = b"calib rows 1\n"  # first line of a cached file; the digest of what follows stands behind it
 
@@ -99,15 +99,14 @@ class Compiler:
         return ctypes.CFUNCTYPE(None, whole, whole, pointer, pointer, pointer, whole)(
             self.address(intermediate(instructions, self.lanes)))
 
-    def loop(self, shape: Shape) -> Callable[..., None]:
-        """The compiled loop that puts products straight into normal equations."""
-        types = [ctypes.c_int64] * 3 + [ctypes.c_void_p] * len(POINTERS)
-        return ctypes.CFUNCTYPE(None, *types)(self.address(fused(shape, self.lanes)))
+    def loop(self, shape: Shape, task: str) -> Callable[..., None]:
+        """The compiled loop that does a task of calib.compiled.fused with rows."""
+        types = [ctypes.c_int64] * 3 + [ctypes.c_void_p] * len(POINTERS[task])
+        return ctypes.CFUNCTYPE(None, *types)(self.address(fused(shape, task, self.lanes)))
 
     def sparse(self, kind: Callable[[int], str], freedom: int) -> Callable[..., None]:
         """A compiled loop over small blocks, of calib.compiled.sparse."""
-        numbers = 4
-        types = [ctypes.c_int64] * numbers + [ctypes.c_void_p] * (len(ARGUMENTS) - numbers)
+        types = [ctypes.c_int64] * len(sparse.NUMBERS) + [ctypes.c_void_p] * len(sparse.POINTERS)
         return ctypes.CFUNCTYPE(None, *types)(self.address(kind(freedom)))
 
     def address(self, text: str) -> int:

@@ -70,7 +70,8 @@ def certify(
     signs = _signs_hold(multipliers, len(equal), len(unequal), low[pins], high[pins])
     curvature = None
     if len(layout.free_columns) <= CURVATURE_SIZE and not factor.defect:
-        bend = system.bend(values, weightings, multipliers[: len(equal) + len(unequal)])
+        weighed = [g.weighting.weigh(g.residual) for g in fit.groups]
+        bend = system.bend(values, weighed, multipliers[: len(equal) + len(unequal)])
         curvature = 1.0 if bend is None else smallest_curvature(bend, fit)
     reasons = []
     # No step below the rounding of the values themselves can be taken.

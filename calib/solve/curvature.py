@@ -50,27 +50,25 @@ def smallest_curvature(bend: Callable[[Array], Array], fit: Linearisation) -> fl
     if not length > 0.0:
         return 1.0
     # Force and step are the two faces of a direction: step = covariance force, so that force'step is its length.
-    forces, steps = [force / length], [step / length]
-    diagonal: list[float] = []
-    beside: list[float] = []
-    for k in range(1, min(factor.rank, STEPS) + 1):
-        force = bend(steps[-1])
+    most = min(factor.rank, STEPS)
+    forces, steps, inner = np.empty((most, len(force))), np.empty((most, len(force))), np.zeros((most, most))
+    for k in range(1, most + 1):
+        forces[k - 1], steps[k - 1] = force / length, step / length
+        force = bend(steps[k - 1])
         if not np.isfinite(force).all():
             return math.nan
-        diagonal.append(float(steps[-1] @ force))
+        inner[k - 1, k - 1] = steps[k - 1] @ force
         for _ in range(2):  # twice, for directions that are orthogonal to rounding
-            force = force - np.column_stack(forces) @ (np.column_stack(steps).T @ force)
+            force = force - (steps[:k] @ force) @ forces[:k]
         step = factor.solve(force[:, None])[:, 0]
         length = math.sqrt(max(float(force @ step), 0.0))
-        values, axes = np.linalg.eigh(np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1))
+        values, axes = np.linalg.eigh(inner[:k, :k])  # looks at what is on and below the diagonal
         smallest, reach = 1.0 + float(values[0]), float(max(values[-1], 0.0) - min(values[0], 0.0))
-        if k == factor.rank or length <= 1e-12 * max(reach, 1e-300):
+        if k == most or length <= 1e-12 * max(reach, 1e-300):
             break
         unseen = (math.log(1.648 * math.sqrt(factor.rank) / DOUBT) / (2 * k - 1)) ** 2
         near = length * abs(float(axes[-1, 0])) <= KNOWN * max(abs(smallest), KNOWN)
         if near and (smallest <= 0.0 or (unseen < 0.5 and smallest > unseen * reach / (1.0 - 2.0 * unseen))):
             break
-        beside.append(length)
-        forces.append(force / length)
-        steps.append(step / length)
+        inner[k, k - 1] = length
     return smallest

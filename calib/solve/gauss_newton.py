@@ -74,7 +74,7 @@ class GaussNewton(Method):
         affine: free columns that are set to their best after each step and not damped; damping: to begin with.
         """
         layout, growth, penalty, last = system.layout, 2.0, 0.0, float("inf")
-        lengths, slow = here.squares, 0
+        lengths, slow, left = here.squares, 0, None
         message = "stopped at the limit of iterations"
         for iteration in range(1, self.iterations + 1):
             lengths = np.maximum(lengths, here.squares)  # as MINPACK: a column that fades does not lose its damping
@@ -103,7 +103,8 @@ class GaussNewton(Method):
             penalty = max(penalty, 3.0 * float(np.abs(forces).max(initial=0.0)))
             second = None
             if slow and isinstance(undamped, DenseFactor) and undamped.rank:
-                second = system.second_order(here.values, weightings, multipliers)
+                weighed = [w.weigh(r) for w, r in zip(weightings, system.residuals(here.values), strict=True)]
+                second = system.second_order(here.values, weighed, multipliers)
             while damping < LARGEST_DAMPING:
                 step = None
                 if second is not None and isinstance(undamped, DenseFactor):
@@ -115,7 +116,7 @@ class GaussNewton(Method):
                         if damping == 0.0
                         else here.factor(layout, conditions, damping * lengths).step
                     )
-                there = _Point.moved(system, here.values, step, room, weightings, affine)
+                there = _Point.moved(system, here.values, step, room, weightings, affine, left)
                 promised = here.promised(layout, step) + penalty * here.infeasible - bent
                 gained = here.objective - there.objective + penalty * (here.infeasible - there.infeasible)
                 ratio = gained / promised if promised > 0 else -1.0
@@ -125,11 +126,11 @@ class GaussNewton(Method):
                 nearer = here.infeasible > 1.0 and there.infeasible <= 0.5 * here.infeasible
                 if small or nearer or ratio > (1e-4 if damping else 0.1):
                     break
-                damping, growth = max(growth * damping, 1e-3), 2 * growth
+                damping, growth, left = max(growth * damping, 1e-3), 2 * growth, there
             else:
                 message = "no step lowers the objective; the start may be far away or the model not smooth there"
                 break
-            here, growth = there, 2.0
+            here, growth, left = there, 2.0, here
             damping *= max(1 / 5, 1 - (2 * min(max(ratio, 0.0), 1.0) - 1) ** 3)
             damping = damping if damping > 1e-9 and remaining > 1e-2 else 0.0
         return Outcome(here.values, False, iteration, _contradiction(system, here.values) or message), False
@@ -154,7 +155,9 @@ class _Point:
     infeasible: float
 
     @staticmethod
-    def at(system: System, values: dict[Unknown, Array], weightings: Sequence[Weighting]) -> _Point:
+    def at(system: System, values: dict[Unknown, Array], weightings: Sequence[Weighting], left: _Point | None = None
+           ) -> _Point:
+        """The point at values; left: one that is of no more use, whose memory it takes over."""
         free, nothing = system.layout.free_columns, np.zeros(0)
         excess, matrix, tolerance = system.equalities(values)
         conditions = Conditions(matrix[:, free], -excess)
@@ -165,7 +168,7 @@ class _Point:
                     low, high = system.at_bounds(values)
                     taken = np.any(conditions.matrix != 0.0, axis=0) | low | high
                     sources = system.sources(values, weightings)
-                    rows = NormalEquations.of(sources, pattern_of(sources, system.layout, taken))
+                    rows = NormalEquations.of(sources, pattern_of(sources, system.layout, taken), left and left.rows)
                     pull, squares, objective = rows.pull, rows.squares, rows.objective
                 else:
                     rows = system.blocks(values, weightings)
@@ -187,15 +190,15 @@ class _Point:
 
     @staticmethod
     def moved(system: System, values: Values, step: Array, room: tuple[Array, Array],
-              weightings: Sequence[Weighting], affine: NDArray[np.int64]) -> _Point:
-        """The point a step (p,) away, with affine free columns at their best."""
+              weightings: Sequence[Weighting], affine: NDArray[np.int64], left: _Point | None) -> _Point:
+        """The point a step (p,) away, with affine free columns at their best; left: as `at`."""
         there = _moved(system.layout, values, step, room)
         if len(affine):
             columns = np.zeros(len(step), dtype=bool)
             columns[affine] = True
             with suppress(ModelBreakdown):
                 there = projected(system, there, weightings, columns)
-        return _Point.at(system, there, weightings)
+        return _Point.at(system, there, weightings, left)
 
     def factor(self, layout: Layout, conditions: Conditions, damping: Array | None = None) -> Factor:
         """Factor of the normal equations within conditions; damping (p,) is added to their diagonal."""
