@@ -9,9 +9,12 @@ import click
 
 from calib import catalogue, files
 from calib.cli.output import DONE, FAILED, Output, job_options, output_options, sources, typed
+from calib.errors import InputError
 from calib.job import Job
 from calib.report import numbers
+from calib.solve.downweight import RobustLoss, Truncated
 from calib.solve.gauss_newton import GaussNewton
+from calib.solve.loss import L1, Huber
 from calib.solve.method import Method
 from calib.workflow.solution import Solution, solved
 
@@ -32,20 +35,43 @@ def method_of(name: str) -> Method:
     return GaussNewton()
 
 
+def loss_of(name: str | None, limit: float | None, method: str) -> RobustLoss | None:
+    """The robust loss of a name of the command line; None for least squares.
+
+    raises InputError where the options do not go together.
+    """
+    if name is None:
+        if limit is not None:
+            raise InputError("--limit belongs to --robust huber or truncated; name one of them")
+        return None
+    if method != METHODS[0]:
+        raise InputError(f"--robust reweights steps of {METHODS[0]}; leave --method out")
+    if name == "l1":
+        if limit is not None:
+            raise InputError("--limit: L1 has none; leave it out")
+        return L1()
+    kind = Huber if name == "huber" else Truncated
+    return kind() if limit is None else kind(limit)
+
+
 method_option = click.option("--method", type=click.Choice(METHODS), default=METHODS[0], show_default=True)
 
 
 @click.command()
 @job_options
 @method_option
+@click.option("--robust", "robust_loss", type=click.Choice(("huber", "l1", "truncated")), default=None,
+              help="A loss that wild readings cannot dominate; truncated leaves them out (graduated non-convexity).")
+@click.option("--limit", type=click.FloatRange(0.1), default=None,
+              help="Of --robust huber or truncated, in units of u (1.345 and 3.29 if not given).")
 @click.option("--against", type=click.Path(path_type=Path), metavar="FILE",
               help="A result.json or certificate of a second method or an earlier calibration: E_n of every result.")
 @click.option("--certificate", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE",
               help="Write a digital calibration certificate (DCC, XML) with what the job's [certificate] says.")
 @output_options
 def solve(
-    job: Path, data_folder: Path | None, problem_file: Path | None, method: str, against: Path | None,
-    certificate: Path | None, output: Output
+    job: Path, data_folder: Path | None, problem_file: Path | None, method: str, robust_loss: str | None,
+    limit: float | None, against: Path | None, certificate: Path | None, output: Output
 ) -> int:
     """Solve JOB (a .toml file, a case folder, or a file that a problem accepts).
 
@@ -58,7 +84,7 @@ def solve(
     module = catalogue.module(read.problem, problem_file)
     origin = provenance(sources(read, problem_file), typed())
     with output.progress(f"solving {job.name}", 1) as step:
-        solution = solved(read, module, method_of(method))
+        solution = solved(read, module, method_of(method), loss_of(robust_loss, limit, method))
         step()
     content = result.content(solution, origin)
     compared, remark = comparisons.beside(solution, origin, against) if against is not None else ((), "")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from calib import files
+from calib.report import robust
 from calib.report.result import reliability_rows
 from calib.workflow.solution import Solution
 
@@ -13,7 +14,8 @@ COLUMNS = ("row", "group", "component", "reading", "predicted", "residual", "uni
 
 
 def write(solution: Solution, path: str | Path) -> Path:
-    """Write observations.csv, whole or not at all; an infinite minimal detectable bias is an empty cell.
+    """Write observations.csv, whole or not at all; an infinite minimal detectable bias is an empty cell. After a robust
+    loss the last column is the weight of each reading.
 
     solution: a solved job; path: of the file.
     return: the path.
@@ -25,4 +27,8 @@ def write(solution: Solution, path: str | Path) -> Path:
     if len(numbered) == len(lines):
         # Groups that share one numbering come from one file: its order is the order people know.
         lines.sort(key=lambda line: line["row"])
-    return files.write_csv(path, COLUMNS, ([line[name] for name in COLUMNS] for line in lines))
+    weights = robust.weight_of(solution)
+    columns = (*COLUMNS, "weight") if weights else COLUMNS
+    for line in lines if weights else ():
+        line["weight"] = weights[line["group"], line["row"], line["component"]]
+    return files.write_csv(path, columns, ([line[name] for name in columns] for line in lines))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calib import files, units
-from calib.report import evidence, numbers
+from calib.report import evidence, numbers, robust
 from calib.report import space as drawing
 from calib.report.provenance import Provenance
 from calib.report.result import unknown_entries
@@ -49,6 +49,7 @@ def html(solution: Solution, provenance: Provenance, compatibility: Grid | None 
         agreement=agreement(solution),
         unstated=unstated(solution),
         advice=solution.advice,
+        wild=robust.wild(solution),
         results=_results(solution),
         tolerances=_tolerances(solution),
         compatibility=compatibility if compatibility is not None and compatibility.rows else None,
@@ -120,6 +121,8 @@ def agreement(solution: Solution) -> str:
     return: the sentence.
     """
     estimate = solution.estimate
+    if solution.robust is not None:
+        return robust.sentence(solution, solution.robust)
     if estimate.dof <= 0:
         return "There are no more readings than unknowns: nothing checks the model or the stated uncertainties."
     probability = estimate.p_value or 0.0

@@ -10,6 +10,7 @@ import numpy as np
 from calib import files, units
 from calib.analyse.covariance import Covariance
 from calib.analyse.reliability import Reliability
+from calib.report import robust
 from calib.report.provenance import Provenance
 from calib.workflow.shown import parts_of, shown
 from calib.workflow.solution import Solution
@@ -35,8 +36,10 @@ def content(solution: Solution, provenance: Provenance) -> dict[str, Any]:
         "certificate": files.plain(estimate.certificate),
         "vtpv": estimate.objective,
         "dof": estimate.dof,
-        "p_value": estimate.p_value,
+        # The squares that a robust loss leaves are no chi-squared number.
+        "p_value": estimate.p_value if solution.robust is None else None,
         "variance_factor": estimate.variance_factor,
+        **robust.content(solution),
         "unknowns": list(unknown_entries(solution)),
         "derived": list(_derived(solution)),
         "covariance": _covariance(solution.results),

@@ -1,59 +1,121 @@
 """Robust estimation by reweighting: wild readings pull less, or not at all, and the covariance says what is left.
 
-Independent readings are weighed one by one by their residual in units of u; priors and correlated readings count as in
-least squares. Sources: Huber (1981), Robust Statistics, sections 7.6 and 7.8; Yang, Antonante, Tzoumas, Carlone (2020),
-IEEE Robotics and Automation Letters 5(2), for graduated non-convexity.
+Readings are weighed one by one by their residual in units of u, correlated ones given the others of their block (see
+`downweight`); priors count as in least squares. Source: Huber (1981), Robust Statistics, sections 7.6 and 7.8.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
-from scipy.special import erf
 
-from calib.blocks import Array
-from calib.errors import CalibrationError
-from calib.linearisation import Group, Linearisation, linearise
+from calib.blocks import Array, Block, Index, Mixing
+from calib.elimination import Factor
+from calib.linearisation import Linearisation, linearise
+from calib.normal import sparse_rows
 from calib.problem import Problem
+from calib.solve.downweight import Alike, RobustLoss, Truncated, gaussian, wild_below
 from calib.solve.estimate import Estimate, solve
-from calib.solve.loss import L1, Huber
-from calib.uncertainty import Gaussian
+from calib.solve.loss import Huber
 from calib.unknown import Unknown
 
-SMALLEST = 1e-8  # weight of a reading that no longer counts; zero would leave a point without any reading
-WILD = 3.29  # residual in units of u beyond which one reading in a thousand lies
+
+class SandwichFactor:
+    """A^-1 B A^-1 in the place of a covariance: A the slope of all pulls, B their mean square.
+
+    slope: factor of A; spread: rows (N, p) of a root of B. Attributes as DenseFactor.
+    """
+
+    def __init__(self, slope: Factor, spread: Any):
+        self._slope, self._spread = slope, spread
+        self.rank, self.defect, self.condition = slope.rank, slope.defect, slope.condition
+
+    @property
+    def null(self) -> Array:
+        """Directions that change no reading that still counts."""
+        return self._slope.null
+
+    def solve(self, right: Array) -> Array:
+        """A^-1 times right (p, k)."""
+        return self._slope.solve(right)
+
+    def covariance(self, functions: Array) -> Array:
+        """Covariance (k, k) of linear functions (k, p) of the free columns."""
+        mapped = self._spread @ self._slope.solve(np.asarray(functions).T)
+        return np.asarray(mapped.T @ mapped)
+
+    def between(self, first: Index, second: Index) -> Array:
+        """Covariances (m, f, g) of free columns first (m, f) with second (m, g); -1 stands for a held column."""
+        found = np.zeros((*first.shape, second.shape[1]))
+        for i, (a, b) in enumerate(zip(first, second, strict=True)):
+            columns = np.concatenate([a, b])
+            unit = np.zeros((len(columns), self._spread.shape[1]))
+            there = np.flatnonzero(columns >= 0)
+            unit[there, columns[there]] = 1.0
+            found[i] = self.covariance(unit)[: len(a), len(a) :]
+        return found
 
 
 @dataclass(frozen=True)
-class Truncated:
-    """Squares up to a limit and nothing beyond: wild readings are left out, found by graduated non-convexity.
+class RobustFit(Linearisation):
+    """The declared problem at a robust estimate: residuals and stated uncertainties as declared, and the covariance of
+    the estimate where all but the wild readings are as stated.
 
-    limit: in units of u.
+    slopes: the same with the slope of its pull as the weight of each reading; spread: rows of a root of the mean square
+    of all pulls, over the free columns; weighed: v'Pv with the last weights; wild: scalar readings that are.
     """
 
-    limit: float = WILD
+    slopes: Linearisation
+    spread: Any
+    weighed: float
+    wild: int
+
+    @property
+    def blocks(self) -> list[Block]:
+        """Rows whose squares are the slopes: what is held is considered with them."""
+        return self.slopes.blocks
+
+    @cached_property
+    def factor(self) -> Any:
+        """Covariance of the robust estimate."""
+        return SandwichFactor(self.slopes.factor, self.spread)
+
+    @property
+    def objective(self) -> float:  # type: ignore[override]
+        """v'Pv with the last weights."""
+        return self.weighed
+
+    @property
+    def dof(self) -> int:  # type: ignore[override]
+        """Readings that are not wild, less the rank."""
+        return sum(g.size for g in self.groups) - self.wild - self.factor.rank
+
+    @property
+    def sizes(self) -> Array:  # type: ignore[override]
+        """Size (p,) of each free column."""
+        return self.slopes.sizes
 
 
 @dataclass(frozen=True)
 class RobustEstimate:
     """A robust estimate: `estimate` with its last weights as uncertainties, weights {group: (n, dim)} in (0, 1].
 
-    converged, iterations: of the reweighting; value: the loss, in units of u; fit: the declared problem, with the
-    stated uncertainties, at the estimate; influence, spread: (N,) slope of the pull of each whitened reading and
-    its mean square.
+    loss; converged, iterations: of the reweighting; value: the loss, in units of u; fit: the declared problem, with
+    the stated uncertainties, at the estimate; robust_fit: the same, whose covariance is that of the robust estimate.
     """
 
+    loss: RobustLoss
     estimate: Estimate
     weights: Mapping[str, Array]
     converged: bool
     iterations: int
     value: float
     fit: Linearisation
-    influence: Array
-    spread: Array
+    robust_fit: RobustFit
 
     def left_out(self, below: float = 0.5) -> list[tuple[str, int, float]]:
         """Readings that pull with less than a part of their weight: (group, row of the file, weight), least first."""
@@ -68,27 +130,16 @@ class RobustEstimate:
     def covariance(self, *what: object) -> tuple[tuple[str, ...], Array]:
         """Labels (k,) and covariance (k, k), SI, of unknowns or quantities, if all but the wild readings are as stated.
 
-        A^-1 B A^-1 with A the slope of the pull and B its mean square.
+        A^-1 B A^-1 with A the slope of the pull and B its mean square. `analyse.covariance(robust_fit, ...)` also
+        considers what is held with a prior.
         """
-        functions = self.fit.functions(*what)
-        rows, _ = self.fit.rows
-        basis = self.fit.conditions.basis
-        inner = rows @ basis
-        slope = inner.T @ (self.influence[:, None] * inner)
-        try:
-            spread = np.linalg.solve(slope, basis.T @ self.fit.free_part(functions.derivatives).T)
-        except np.linalg.LinAlgError:
-            raise CalibrationError(
-                f"{self.fit.name}: too few readings are left to say how certain the robust estimate is; look at "
-                "left_out(), and add readings"
-            ) from None
-        pull = inner.T @ (self.spread[:, None] * inner)
-        return functions.labels, spread.T @ pull @ spread
+        functions = self.robust_fit.functions(*what)
+        return functions.labels, self.robust_fit.factor.covariance(self.robust_fit.free_part(functions.derivatives))
 
 
 def robust(
     problem: Problem,
-    loss: Huber | L1 | Truncated | None = None,
+    loss: RobustLoss | None = None,
     start: Estimate | Mapping[Unknown, object] | None = None,
     iterations: int = 300,
     tolerance: float = 1e-7,
@@ -101,76 +152,51 @@ def robust(
     """
     loss = loss or Huber()
     estimate = solve(problem, start=start)
-    u = {group.name: group.weighting.u for group in linearise(estimate).groups if _single(group)}
-    standardised = _standardised(estimate, u)
-    size = _largest(standardised)
+    blocks = {group.name: Alike.of(group.weighting, group.name) for group in estimate.fit.groups if not group.is_prior}
+    u = {group.name: group.weighting.u for group in estimate.fit.groups if not group.is_prior}
+    added = {name: np.zeros_like(one) for name, one in u.items()}
+    weights = {name: np.ones_like(one) for name, one in u.items()}
+    size = max((b.largest(b.gather(estimate.residuals[name])) for name, own in blocks.items() for b in own),
+               default=0.0)
     convexity = loss.limit**2 / max(2.0 * size**2 - loss.limit**2, 1e-12) if isinstance(loss, Truncated) else 0.0
-    converged, weights = False, {name: np.ones_like(value) for name, value in u.items()}
-    done = 0
+    converged, done = False, 0
     while done < iterations and not converged:
         done += 1
-        weights = {name: _weight(loss, r, convexity) for name, r in standardised.items()}
-        changed = {name: Gaussian.standard(u[name] / np.sqrt(weights[name])) for name in u}
+        for name, own in blocks.items():
+            for block in own:
+                found = block.errors(loss, block.gather(estimate.residuals[name]), block.gather(added[name]), convexity)
+                block.scatter(added[name], found[0])
+                block.scatter(weights[name], found[1])
+        changed = {name: gaussian(own, added[name]) for name, own in blocks.items()}
+        before = estimate.residuals
         estimate = solve(problem.with_uncertainty(changed), start=estimate)
-        before, standardised = standardised, _standardised(estimate, u)
-        change = max((float(np.abs(standardised[n] - before[n]).max()) for n in u), default=0.0)
+        change = max((float(np.abs((estimate.residuals[n] - before[n]) / u[n]).max()) for n in u), default=0.0)
         settled = all(np.all((w < 1e-6) | (w > 1 - 1e-6)) for w in weights.values())
         if change <= tolerance and (not isinstance(loss, Truncated) or settled or convexity > 1e6):
             converged = True
         convexity *= 1.4
     fit = linearise(problem, {unknown: unknown.show(estimate.values[unknown]) for unknown in problem.unknowns})
-    slopes, spreads = zip(*(_pull(loss, group, weights) for group in fit.groups), strict=True)
-    value = float(sum(_loss(loss, r).sum() for r in standardised.values()))
-    return RobustEstimate(
-        estimate, weights, converged, done, value, fit, np.concatenate(slopes), np.concatenate(spreads)
-    )
+    value = sum(b.loss(loss, *(b.gather(one[name]) for one in (estimate.residuals, added, weights)))
+                for name, own in blocks.items() for b in own)
+    return RobustEstimate(loss, estimate, weights, converged, done, float(value), fit,
+                          _robust_fit(loss, fit, blocks, weights, estimate.objective))
 
 
-def _single(group: Group) -> bool:
-    """Whether a group has independent readings and is no prior."""
-    return not group.is_prior and all(m.matrix.ndim == 2 and m.rows.shape[1] == 1 for m in group.weighting.whitening)
-
-
-def _standardised(estimate: Estimate, u: Mapping[str, Array]) -> dict[str, Array]:
-    return {name: estimate.residuals[name] / u[name] for name in u}
-
-
-def _largest(standardised: Mapping[str, Array]) -> float:
-    return max((float(np.abs(r).max()) for r in standardised.values()), default=0.0)
-
-
-def _weight(loss: Huber | L1 | Truncated, r: Array, convexity: float) -> Array:
-    size = np.abs(r)
-    if isinstance(loss, Huber):
-        return np.minimum(1.0, loss.threshold / np.maximum(size, 1e-12))
-    if isinstance(loss, L1):
-        return np.minimum(1.0, 1e-4 / np.maximum(size, 1e-7))
-    upper = (convexity + 1) / convexity * loss.limit**2
-    lower = convexity / (convexity + 1) * loss.limit**2
-    between = loss.limit * math.sqrt(convexity * (convexity + 1)) / np.maximum(size, 1e-12) - convexity
-    return np.clip(np.where(size**2 >= upper, 0.0, np.where(size**2 <= lower, 1.0, between)), SMALLEST, 1.0)
-
-
-def _loss(loss: Huber | L1 | Truncated, r: Array) -> Array:
-    size = np.abs(r)
-    if isinstance(loss, Huber):
-        inside = np.minimum(size, loss.threshold)
-        return inside * (size - 0.5 * inside)
-    return size if isinstance(loss, L1) else 0.5 * np.minimum(size, loss.limit) ** 2
-
-
-def _pull(loss: Huber | L1 | Truncated, group: Group, weights: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Slope of the pull of each whitened reading of a group, and its mean square, for Gaussian errors of stated u."""
-    if group.name not in weights:
-        count = sum(block.residual.size for block in group.whitened)
-        return np.ones(count), np.ones(count)
-    r = np.concatenate([np.abs(block.residual).ravel() for block in group.whitened])
-    if isinstance(loss, L1):
-        return np.where(r <= WILD, math.sqrt(2.0 / math.pi), 0.0), np.ones(len(r))
-    limit = loss.threshold if isinstance(loss, Huber) else loss.limit
-    inside = r <= limit
-    within = erf(limit / math.sqrt(2.0))
-    edge = 2.0 * limit * math.exp(-0.5 * limit**2) / math.sqrt(2.0 * math.pi)
-    if isinstance(loss, Huber):
-        return inside * 1.0, np.where(inside, 1.0 - edge / within, limit**2)
-    return inside * (1.0 - edge / within), inside * (1.0 - edge / within)
+def _robust_fit(
+    loss: RobustLoss, fit: Linearisation, blocks: Mapping[str, tuple[Alike, ...]], weights: Mapping[str, Array],
+    weighed: float,
+) -> RobustFit:
+    """The linearisation whose covariance is that of the estimate."""
+    groups, spread = [], []
+    for group in fit.groups:
+        mixings: tuple[Mixing, ...] = group.weighting.whitening
+        mean = mixings
+        if group.name in blocks:
+            pulls = [b.pulls(loss, b.gather(group.residual), b.gather(weights[group.name])) for b in blocks[group.name]]
+            mixings, mean = (tuple(one) for one in zip(*pulls, strict=True))
+        groups.append(replace(group, weighting=replace(group.weighting, whitening=mixings)))
+        spread += [mixing.apply(group.residual, group.parts) for mixing in mean]
+    own = {name: getattr(fit, name) for name in Linearisation.__dataclass_fields__}
+    wild = sum(int(np.sum(one < wild_below(loss))) for one in weights.values())
+    return RobustFit(**own, slopes=replace(fit, groups=tuple(groups)), spread=sparse_rows(spread, fit.layout)[0],
+                     weighed=weighed, wild=wild)

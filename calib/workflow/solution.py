@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Any
 
@@ -21,8 +21,10 @@ from calib.job import Job
 from calib.linearisation import Functions, Linearisation, linearise
 from calib.problem import Problem
 from calib.scene import Scene
+from calib.solve.downweight import RobustLoss
 from calib.solve.estimate import Estimate, solve
 from calib.solve.method import Method
+from calib.solve.robust import RobustEstimate, robust
 from calib.unknown import Unknown
 from calib.workflow.conformity import Conformity, judge
 from calib.workflow.knowledge import named, with_priors
@@ -60,7 +62,8 @@ class Solution:
     the excluded rows back in; remarks, advice: sentences of the problem module: what no reading shows, what to adjust;
     weak: what the readings hardly tell apart; heldout: gaps on readings that were not used; scene: as the problem
     declares it or as it follows from its unknowns; absent: labels of scalars that stand for nothing, such as the height
-    of a plane point; tables: of the problem module, {name: lines}, each line {column with its unit: value}.
+    of a plane point; tables: of the problem module, {name: lines}, each line {column with its unit: value}; robust:
+    how readings were weighed, where a robust loss was asked for.
     """
 
     job: Job
@@ -87,6 +90,7 @@ class Solution:
     scene: Scene = field(default_factory=lambda: Scene(()))
     absent: frozenset[str] = frozenset()
     tables: Mapping[str, list[dict[str, Any]]] = field(default_factory=dict)
+    robust: RobustEstimate | None = None
 
     @property
     def displayed(self) -> list[tuple[str, float | None, float, str]]:
@@ -118,21 +122,22 @@ def declared(job: Job, module: ModuleType) -> Problem:
     return with_priors(problem, job.priors)
 
 
-def solved(job: Job, module: ModuleType, method: Method) -> Solution:
+def solved(job: Job, module: ModuleType, method: Method, loss: RobustLoss | None = None) -> Solution:
     """Solve a job and analyse the estimate.
 
-    job: as read; module: the problem module that it names; method: how to solve.
+    job: as read; module: the problem module that it names; method: how to solve; loss: a robust one instead of squares.
     return: the solution.
     raises InputError, MethodRefusal or RankDefect where there is none.
     """
     problem = declared(job, module)
     wanted = requested(problem, job.quantities, job.report.where("quantities"))
-    estimate = solve(problem, method)
+    weighed, estimate = _estimated(problem, method, loss)
     fit = linearise(estimate)
     results = covariance(fit, *wanted)
-    components, refused = _components(fit)
+    components, refused = _components(fit) if weighed is None else (
+        None, "a robust loss bounds the very scatter that they are about")
     rescaled = components.rescaled(fit) if components else None
-    including, why = _including(job, module, method)
+    including, why = _including(job, module, method, loss)
     return Solution(
         job=job,
         problem=problem,
@@ -140,9 +145,9 @@ def solved(job: Job, module: ModuleType, method: Method) -> Solution:
         fit=fit,
         results=results,
         u_of=_uncertainties(fit),
-        reliability=reliability(fit),
+        reliability=reliability(fit if weighed is None else weighed.fit),
         estimability=estimability(fit),
-        budgets=_budgets(fit, wanted),
+        budgets=_budgets(fit, wanted) if weighed is None else (),
         components=components,
         components_refused=refused,
         results_vc=covariance(rescaled, *wanted) if rescaled else None,
@@ -153,12 +158,25 @@ def solved(job: Job, module: ModuleType, method: Method) -> Solution:
         remarks=tuple(module.remarks(job)) if hasattr(module, "remarks") else (),
         weak=_weak(problem, results),
         heldout=tuple(HeldOut(*one) for one in module.heldout(job, estimate)) if hasattr(module, "heldout") else (),
-        advice=tuple(module.advice(fit)) if hasattr(module, "advice") else (),
+        advice=tuple(module.advice(fit)) if hasattr(module, "advice") and weighed is None else (),
         named_by_key=tuple(getattr(module, "named_by_key", ())),
         absent=frozenset(module.absent(job)) if hasattr(module, "absent") else frozenset(),
         tables=module.result_tables(fit) if hasattr(module, "result_tables") else {},
         scene=module.scene(job, estimate) if hasattr(module, "scene") else scene(fit),
+        robust=weighed,
     )
+
+
+def _estimated(problem: Problem, method: Method, loss: RobustLoss | None) -> tuple[RobustEstimate | None, Estimate]:
+    """The estimate, and how its readings were weighed where a robust loss was asked for."""
+    if loss is None:
+        return None, solve(problem, method)
+    found = robust(problem, loss)
+    message = found.estimate.message if found.converged else \
+        f"the weights of the readings still changed after {found.iterations} rounds"
+    return found, replace(
+        found.estimate, problem=problem, fit=found.robust_fit, iterations=found.iterations, message=message,
+        method=f"{found.estimate.method}, reweighted", converged=found.converged and found.estimate.converged)
 
 
 def _uncertainties(fit: Linearisation) -> dict[Unknown, np.ndarray]:
@@ -216,14 +234,16 @@ def _coverages(rescaled: Linearisation, components: VarianceComponents, wanted: 
     return tuple(found)
 
 
-def _including(job: Job, module: ModuleType, method: Method) -> tuple[Covariance | None, str]:
+def _including(
+    job: Job, module: ModuleType, method: Method, loss: RobustLoss | None
+) -> tuple[Covariance | None, str]:
     if not job.exclude:
         return None, ""
     whole = job.including_excluded()
     try:
         problem = with_priors(module.from_job(whole), whole.priors)
         wanted = requested(problem, job.quantities, job.report.where("quantities"))
-        return covariance(linearise(solve(problem, method)), *wanted), ""
+        return covariance(linearise(_estimated(problem, method, loss)[1]), *wanted), ""
     except CalibrationError as error:
         return None, str(error)
 
