@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from folders import put
 
 import calib
 from calib.errors import InputError
@@ -20,9 +21,7 @@ ISOTROPIC = np.tile((10 * um) ** 2 * np.eye(3), (12, 1, 1))
 
 @pytest.fixture
 def job(tmp_path):
-    for name, text in alignment.example_job(1).items():
-        (tmp_path / name).write_text(text, encoding="utf-8")
-    return Job.read(tmp_path / "job.toml")
+    return Job.read(put(tmp_path, alignment.example_job(1)))
 
 
 def seen_points(seed, covariance=ISOTROPIC):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import put
 
 from calib import covariance, linearise, predict, simulate, solve, variance_components
 from calib.errors import InputError, RankDefect
@@ -118,14 +119,8 @@ def test_a_target_without_distance_is_named():
         axis_points.declare(None, ["A"] * 3, QUARTER[:3], distance={"B": 1.0})
 
 
-def write(folder, files):
-    for name, text in files.items():
-        (folder / name).write_text(text, encoding="utf-8")
-    return folder / "job.toml"
-
-
 def test_the_example_job_is_read_and_its_residuals_are_its_noise(tmp_path):
-    job = Job.read(write(tmp_path, axis_points.example_job(2)))
+    job = Job.read(put(tmp_path, axis_points.example_job(2)))
     problem = axis_points.from_job(job)
     job.refuse_unknown_keys()
     estimate = solve(problem)
@@ -143,14 +138,14 @@ def test_a_face_that_is_neither_one_nor_two_is_named_with_its_line(tmp_path):
     cells[2] = "3"
     files["circles.csv"] = "\n".join([*lines[:4], ",".join(cells), *lines[5:]]) + "\n"
     with pytest.raises(InputError, match=r"circles.csv, line 5.*face 3 is neither 1 nor 2"):
-        axis_points.from_job(Job.read(write(tmp_path, files)))
+        axis_points.from_job(Job.read(put(tmp_path, files)))
 
 
 def test_readings_of_face_two_ask_for_the_column_face(tmp_path):
     files = axis_points.example_job(2)
     files["circles.csv"] = files["circles.csv"].replace("target,face,", "target,side,")
     with pytest.raises(InputError, match=r"circles.csv, line \d+.*column 'V_deg'.*add a column face"):
-        axis_points.from_job(Job.read(write(tmp_path, files)))
+        axis_points.from_job(Job.read(put(tmp_path, files)))
 
 
 @pytest.mark.skipif(not CASES.is_dir(), reason="the example cases are not on this machine")
@@ -199,7 +194,7 @@ u_H = "1 arcsec"
 id = "S"
 L = "1417 mm"
 """}
-    job = Job.read(write(tmp_path, files))
+    job = Job.read(put(tmp_path, files))
     problem = axis_points.from_job(job)
     job.refuse_unknown_keys()
     assert not any(effect.channel.startswith("V") for effect in problem.effects)
@@ -210,7 +205,7 @@ L = "1417 mm"
 
 
 def test_the_formulations_differ_by_no_more_than_sharing_costs(tmp_path):
-    found = axis_points.formulations(Job.read(write(tmp_path, axis_points.example_job(2))))
+    found = axis_points.formulations(Job.read(put(tmp_path, axis_points.example_job(2))))
     together, apart = (solve(problem) for problem in found.values())
     assert together.dof - apart.dof == 2 * 3
     assert 0.0 < together.objective - apart.objective < 22.5        # chi-squared of 6: beyond that with 0.1 %

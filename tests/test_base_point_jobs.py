@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from folders import put
 from tracked_lines import BASE, box
 
 import calib
@@ -16,9 +17,7 @@ def job_in(folder, **changes):
     files = base_point.example_job(4)
     for old, new in changes.get("replace", {}).items():
         files = {name: text.replace(old, new) for name, text in files.items()}
-    for name, text in files.items():
-        (folder / name).write_text(text, encoding="utf-8")
-    return Job.read(folder / "job.toml")
+    return Job.read(put(folder, files))
 
 
 def test_the_example_job_is_solved_and_every_key_is_known(tmp_path):

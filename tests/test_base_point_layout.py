@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from folders import put
 
 import calib
 from calib.errors import InputError, RankDefect
@@ -121,9 +122,7 @@ def test_what_cannot_be_planned_is_refused():
 
 
 def test_the_example_job_is_a_layout(tmp_path):
-    for name, text in base_point_layout.example_job(1).items():
-        (tmp_path / name).write_text(text, encoding="utf-8")
-    job = Job.read(tmp_path / "job.toml")
+    job = Job.read(put(tmp_path, base_point_layout.example_job(1)))
     estimate = calib.solve(base_point_layout.from_job(job), calib.Ipopt())
     job.refuse_unknown_keys()
     assert estimate.certificate.passed and estimate["sqrt_q"] == pytest.approx(np.sqrt(4.0 / 3.0), abs=1e-9)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from folders import put
 
 import calib
 from calib.errors import InputError, RankDefect
@@ -182,9 +183,7 @@ def test_the_weights_of_equations_10_to_13_have_one_solution_and_it_is_the_inver
 
 
 def test_the_example_job_is_read_and_solved(tmp_path):
-    for name, text in circle.example_job(3).items():
-        (tmp_path / name).write_text(text)
-    job = Job.read(tmp_path / "job.toml")
+    job = Job.read(put(tmp_path, circle.example_job(3)))
     estimate = calib.solve(circle.from_job(job))
     job.refuse_unknown_keys()
     assert estimate.certificate.passed and estimate.dof == 39 - 6 - 13

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from folders import put
 
 import calib
 from calib import Observations, Problem, Quantity, Unknown
@@ -29,8 +30,7 @@ def calib_command(capsys):
 
 
 def job_of(module, folder, seed=1):
-    for name, text in module.example_job(seed).items():
-        (folder / name).write_text(text, encoding="utf-8")
+    put(folder, module.example_job(seed))
     return folder / "job.toml"
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import put
 
 from calib import GaussNewton, covariance, linearise, predict, simulate, solve
 from calib.errors import InputError, RankDefect
@@ -164,14 +165,8 @@ def test_the_table_of_the_twelve_results_in_the_documentation_is_what_the_code_g
 # --- jobs, advice, section 7, documentation -----------------------------------------------------------------------
 
 
-def write(folder, files):
-    for name, text in files.items():
-        (folder / name).write_text(text, encoding="utf-8")
-    return folder / "job.toml"
-
-
 def test_the_example_job_is_solved_and_says_what_to_adjust(tmp_path):
-    job = Job.read(write(tmp_path, five_axis.example_job(3)))
+    job = Job.read(put(tmp_path, five_axis.example_job(3)))
     problem = five_axis.from_job(job)
     job.refuse_unknown_keys()
     estimate = solve(problem)
@@ -187,7 +182,7 @@ def test_feet_are_raised_on_the_side_to_which_the_axis_leans(tmp_path):
     files["feet.csv"] = "table,foot,x_mm,y_mm\nthree_axis,east,500,0\nthree_axis,north,0,500\ntwo_axis,west,-500,0\n"
     level = "[instruments.level]"
     files["job.toml"] = files["job.toml"].replace(level, f'[data.feet]\nfile = "feet.csv"\n\n{level}')
-    estimate = solve(five_axis.from_job(Job.read(write(tmp_path, files))))
+    estimate = solve(five_axis.from_job(Job.read(put(tmp_path, files))))
     (x, y), (_, y_two) = estimate["plumb"]
     # turning the table back by its tilt lifts a point at (px, py) by theta_y px - theta_x py
     assert estimate["foot"] == pytest.approx([0.5 * y, -0.5 * x, -0.5 * y_two], rel=1e-9)
@@ -206,7 +201,7 @@ def test_the_advice_turns_about_with_the_make_of_the_circles():
 def test_the_procedure_step_by_step_is_an_option_of_the_job(tmp_path):
     files = five_axis.example_job(3)
     files["job.toml"] = files["job.toml"].replace('shared = "tested"', 'procedure = "step by step"')
-    assert five_axis.from_job(Job.read(write(tmp_path, files))).name == "five-axis, step by step"
+    assert five_axis.from_job(Job.read(put(tmp_path, files))).name == "five-axis, step by step"
 
 
 @pytest.mark.parametrize("table, remove, message", [
@@ -264,7 +259,7 @@ def test_too_few_positions_to_test_sharing_say_how_to_go_on(tmp_path):
     files = five_axis.example_job(3)
     lines = files["table4_roll.csv"].splitlines()
     files["table4_roll.csv"] = "\n".join([*lines[:4], *lines[6:8]]) + "\n"        # two positions of C and of D
-    path = write(tmp_path, files)
+    path = put(tmp_path, files)
     with pytest.raises(RankDefect, match=r"cannot be tested.*shared = .all"):
         five_axis.from_job(Job.read(path))
     path.write_text(files["job.toml"].replace('shared = "tested"', 'shared = "all"'), encoding="utf-8")

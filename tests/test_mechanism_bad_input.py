@@ -7,6 +7,7 @@ from functools import cache
 
 import pytest
 from command import runner
+from folders import put
 
 
 @cache
@@ -109,8 +110,7 @@ def test_a_wrong_mechanism_or_reading_is_refused_with_name_and_remedy(case, caps
     files = example_job(name)
     changed_text = change(files[file])
     assert changed_text != files[file]
-    for one, text in {**files, file: changed_text}.items():
-        (tmp_path / one).write_text(text)
+    put(tmp_path, {**files, file: changed_text})
     answer = runner(capsys)("solve", tmp_path / "job.toml", "--out", tmp_path / "out")
     assert answer.status == 2 and answer.error.count("calib:") == 1
     assert "Traceback" not in answer.error and "fault of calib" not in answer.error

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from command import runner
+from folders import put
 
 import calib
 from calib.job import Job
@@ -20,8 +21,7 @@ FILES = mechanism.example_job(4)
 @pytest.fixture
 def job(tmp_path):
     def job(**changed):
-        for name, text in {**FILES, **changed}.items():
-            (tmp_path / name).write_text(text)
+        put(tmp_path, {**FILES, **changed})
         return tmp_path / "job.toml"
     return job
 
@@ -43,8 +43,7 @@ def test_errors_that_three_instruments_can_know_come_back_and_the_rest_is_said(j
 def test_the_identified_geometry_is_written_as_tables_that_stand_where_the_true_one_does(job, tmp_path):
     read = Job.read(job())
     estimate = calib.solve(mechanism.from_job(read))
-    for name, text in mechanism.identified_files(read, estimate).items():
-        (tmp_path / name).write_text(text)
+    put(tmp_path, mechanism.identified_files(read, estimate))
     by_axes = tabulated.read_axes(tmp_path / "identified_axes.csv")
     by_table = tabulated.read_table(tmp_path / "identified_dh.csv")
     positions = np.random.default_rng(1).uniform([-0.4, -3, -1], [0.4, 3, 1], (20, 3))
@@ -93,8 +92,7 @@ u_angle = "5 mrad"
 """
     texts = {"job.toml": job, "arm.urdf": files["arm.urdf"], "apart.csv": "first,second,distance_mm\n1,2,50\n",
              "seats.csv": ",".join(f"{n}_rad" for n in names) + ",socket\n" + "\n".join(lines) + "\n"}
-    for name, text in texts.items():
-        (tmp_path / name).write_text(text)
+    put(tmp_path, texts)
     answer = runner(capsys)("solve", tmp_path / "job.toml", "--out", tmp_path / "out")
     assert answer.status == 0, answer.error
     result = json.loads((tmp_path / "out" / "result.json").read_text())

@@ -5,6 +5,7 @@ import importlib
 
 import numpy as np
 import pytest
+from folders import put
 from shipped import modules
 
 import calib
@@ -37,8 +38,7 @@ def test_simulated_errors_come_back_within_their_uncertainty(name):
 @pytest.mark.parametrize("name", QUICK_FIRST)
 def test_the_example_job_runs(name, tmp_path):
     module = importlib.import_module(f"problems.{name}")
-    for file, text in module.example_job(2).items():
-        (tmp_path / file).write_text(text)
+    put(tmp_path, module.example_job(2))
     estimate = calib.solve(module.from_job(Job.read(tmp_path / "job.toml")))
     assert estimate.certificate.passed and 0.7 < estimate.variance_factor < 1.35
 
@@ -81,9 +81,7 @@ def test_a_hexapod_is_commanded_by_its_calibrated_joints():
 @pytest.mark.parametrize("name", [n for n in NAMES if hasattr(importlib.import_module(f"problems.{n}"), "heldout")])
 def test_readings_that_were_not_used_are_predicted_better_by_the_identified_mechanism(name, tmp_path):
     module = importlib.import_module(f"problems.{name}")
-    for file, text in module.example_job(3).items():
-        (tmp_path / file).write_text(text)
-    job = Job.read(tmp_path / "job.toml")
+    job = Job.read(put(tmp_path, module.example_job(3)))
     for quantity, before, after, unit in module.heldout(job, calib.solve(module.from_job(job))):
         assert after < 0.7 * before, f"{quantity}: {before} {unit} before, {after} {unit} after"
 
@@ -92,9 +90,7 @@ def test_an_effect_of_several_parameters_is_switched_on_by_one_of_them(tmp_path)
     from calib.errors import InputError
     from calib.workflow.simulated import simulated
     from problems import gimbal
-    for file, text in gimbal.example_job(2).items():
-        (tmp_path / file).write_text(text)
-    job = Job.read(tmp_path / "job.toml")
+    job = Job.read(put(tmp_path, gimbal.example_job(2)))
     problem = gimbal.from_job(job)
     with pytest.raises(InputError, match=r"say which: encoder_2x_C\.c, encoder_2x_C\.s"):
         simulated(job, problem, calib.solve(problem), 5, {"encoder_2x_C": "5 arcsec"})
@@ -119,9 +115,7 @@ def test_pointing_of_the_calibrated_gimbal_brings_targets_into_the_middle():
 def test_simulated_readings_of_a_hexapod_stand_in_the_columns_of_its_job(tmp_path):
     from calib.workflow.simulated import simulated
     from problems import hexapod
-    for file, text in hexapod.example_job(2).items():
-        (tmp_path / file).write_text(text)
-    job = Job.read(tmp_path / "job.toml")
+    job = Job.read(put(tmp_path, hexapod.example_job(2)))
     problem = hexapod.from_job(job)
     found = simulated(job, problem, calib.solve(problem), 5, {"scale": "300 ppm"}, hexapod.in_columns)
     assert not found.loose

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from folders import put
 
 import calib
 from calib.errors import InputError
@@ -183,9 +184,7 @@ def job_in(folder, known=False):
         marked = [f"{row},{int(k < 8)}" for k, row in enumerate(rows)]
         files["targets.csv"] = "\n".join([source, header + ",known", *marked, ""])
         files["job.toml"] += '[options]\nu_known = "1 mm"\n'
-    for name, text in files.items():
-        (folder / name).write_text(text, encoding="utf-8")
-    return Job.read(folder / "job.toml")
+    return Job.read(put(folder, files))
 
 
 @pytest.mark.parametrize("known", [False, True])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from folders import put
 
 import calib
 from calib.errors import InputError, RankDefect
@@ -82,9 +83,7 @@ def test_a_stop_or_face_that_cannot_be_is_refused_with_its_row(change, words):
 
 
 def test_the_example_job_is_read_and_solved(tmp_path):
-    for name, text in polygon.example_job(3).items():
-        (tmp_path / name).write_text(text)
-    job = Job.read(tmp_path / "job.toml")
+    job = Job.read(put(tmp_path, polygon.example_job(3)))
     estimate = calib.solve(polygon.from_job(job))
     job.refuse_unknown_keys()
     assert estimate.certificate.passed and estimate.dof == 39 - (24 + 3 - 2)

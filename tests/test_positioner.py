@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import put
 
 import calib
 from calib.errors import InputError
@@ -57,8 +58,7 @@ def test_structure_in_what_remains_is_said_and_its_absence_too(simulated):
 
 
 def test_an_example_job_gives_the_angle_between_the_axes(tmp_path):
-    for name, text in positioner.example_job(3).items():
-        (tmp_path / name).write_text(text)
+    put(tmp_path, positioner.example_job(3))
     estimate = calib.solve(positioner.from_job(Job.read(tmp_path / "job.toml")))
     axes = calib.covariance(calib.linearise(estimate), "axes")
     angle, u = axes["axes.angle"]
@@ -68,9 +68,7 @@ def test_an_example_job_gives_the_angle_between_the_axes(tmp_path):
 
 
 def test_uncertainty_by_blocks_agrees_with_the_stated_one_where_poses_are_independent(tmp_path):
-    for name, text in positioner.example_job(3).items():
-        (tmp_path / name).write_text(text)
-    job = Job.read(tmp_path / "job.toml")
+    job = Job.read(put(tmp_path, positioner.example_job(3)))
     for _, stated, by_blocks in positioner.uncertainty_by_blocks(calib.solve(positioner.from_job(job))).values():
         assert 0.25 < by_blocks / stated < 3.0        # five blocks: the ratio spreads by a factor of two
 

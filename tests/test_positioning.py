@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from folders import put
 
 import calib
 from calib.errors import InputError
@@ -122,9 +123,7 @@ def test_one_reading_says_nothing_about_positioning():
 
 
 def test_the_example_job_gives_the_figures(tmp_path):
-    for name, text in positioning.example_job(3).items():
-        (tmp_path / name).write_text(text)
-    job = Job.read(tmp_path / "job.toml")
+    job = Job.read(put(tmp_path, positioning.example_job(3)))
     estimate = calib.solve(positioning.from_job(job))
     job.refuse_unknown_keys()
     assert estimate.certificate.passed and 0.0 < estimate["M"] <= estimate["E"] <= estimate["A"]

@@ -6,6 +6,7 @@ import json
 
 import pytest
 from command import runner
+from folders import put
 
 from problems import base_point
 
@@ -17,8 +18,7 @@ def calib(capsys):
 
 @pytest.fixture
 def job(tmp_path):
-    for name, text in base_point.example_job(1).items():
-        (tmp_path / name).write_text(text, encoding="utf-8")
+    put(tmp_path, base_point.example_job(1))
     return tmp_path / "job.toml"
 
 
@@ -107,8 +107,7 @@ def test_the_measurement_that_separates_two_effects_is_ranked_and_said_where_non
 def test_the_worst_of_two_jobs_counts(calib, job, tmp_path):
     other = tmp_path / "other"
     other.mkdir()
-    for name, text in base_point.example_job(2).items():
-        (other / name).write_text(text, encoding="utf-8")
+    put(other, base_point.example_job(2))
     found = [json.loads(calib("select", job, "--keep", 9, "--criterion", "A", "--quantity", "base_point", "--json",
                               *words).out) for words in ((), ("--worst-case", other / "job.toml"))]
     assert found[1]["criterion"] == "worst A" and found[1]["value"] >= found[0]["value"] * (1 - 1e-9)

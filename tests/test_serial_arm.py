@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import put
 
 import calib
 from calib.errors import InputError
@@ -19,8 +20,7 @@ needs_real_data = pytest.mark.skipif(not (REAL / "panda").is_dir(), reason="the 
 @pytest.fixture(scope="module")
 def job_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("arm")
-    for name, text in serial_arm.example_job(3).items():
-        (folder / name).write_text(text)
+    put(folder, serial_arm.example_job(3))
     return folder
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from folders import put
 
 import calib
 from calib.errors import InputError
@@ -234,9 +235,7 @@ def test_figures_are_drawn(reproduction):
 
 
 def test_the_example_job_gives_the_deviation_of_every_stop(tmp_path):
-    for name, text in turntable.example_job(3).items():
-        (tmp_path / name).write_text(text)
-    job = Job.read(tmp_path / "job.toml")
+    job = Job.read(put(tmp_path, turntable.example_job(3)))
     estimate = calib.solve(turntable.from_job(job))
     job.refuse_unknown_keys()
     assert estimate.certificate.passed and len(estimate["deviation"]) == 26
