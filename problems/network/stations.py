@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -128,12 +129,15 @@ def _views(sightings: Sequence[Sightings]) -> list[tuple[str, list[str], Array]]
         if batch.readings is None:
             continue
         own = laser_tracker.cartesian_readings(np.asarray(batch.readings, float))
-        stations, targets = (np.asarray(k).astype(str).tolist() for k in (batch.station, batch.target))
-        for station, target, place in zip(stations, targets, own, strict=True):
+        stations, targets = (np.asarray(k).astype(str) for k in (batch.station, batch.target))
+        number: dict[str, int] = {}
+        which = np.array([number.setdefault(s, len(number)) for s in stations.tolist()], dtype=np.int64)
+        rows = np.split(np.argsort(which, kind="stable"), np.cumsum(np.bincount(which))[:-1])
+        for station, of_station in zip(number, rows, strict=bool(number)):
             keys, places = views.setdefault(station, ([], []))
-            keys.append(target)
-            places.append(place)
-    return sorted(((s, k, np.array(p)) for s, (k, p) in views.items()), key=lambda view: -len(view[1]))
+            keys += targets[of_station].tolist()
+            places.append(own[of_station])
+    return sorted(((s, k, np.concatenate(p)) for s, (k, p) in views.items()), key=lambda view: -len(view[1]))
 
 
 def poses(sightings: Sequence[Sightings], known: Mapping[str, Array]) -> Pose | None:
@@ -141,7 +145,7 @@ def poses(sightings: Sequence[Sightings], known: Mapping[str, Array]) -> Pose | 
 
     Raises InputError naming a station with fewer than three targets, or with all of them on one line.
     """
-    stations = list(dict.fromkeys(k for b in sightings for k in np.asarray(b.station).astype(str).tolist()))
+    stations = list(dict.fromkeys(chain.from_iterable(np.asarray(b.station).astype(str).tolist() for b in sightings)))
     if not stations:
         return None
     turns, shifts = {key: np.eye(3) for key in stations}, {key: np.zeros(3) for key in stations}
