@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.analyse.score import Candidate
+from calib.analyse.score import Candidate, orthonormal
+from calib.blocks import Array
 from calib.errors import CalibrationError
 from calib.problem import Problem
 from calib.solve.estimate import Estimate, solve
 from calib.workflow.discrepancy.alias import proportional
 from calib.workflow.discrepancy.conclusion import Explanation, Judgement, conclude
-from calib.workflow.discrepancy.judging import Account, best_account, failed_looks, nothing
+from calib.workflow.discrepancy.judging import Account, best_account, failed_looks, nothing, shapeless
 from calib.workflow.discrepancy.noise import NoiseTest
 from calib.workflow.discrepancy.readings import row_numbers
 from calib.workflow.discrepancy.rivals import SCALED, SERIAL, STATED
@@ -48,14 +49,26 @@ def explain(
             "what it lacks. Give start values nearer to the truth, or look for gross errors in rows and units."
         )
     nominal = scene_of(problem, before, ())
-    screen = Screen(nominal.field, patterns(nominal.channels), seed)
+    screen = Screen(nominal.field, patterns(nominal.channels), seed, None, _families(nominal))
     scene, judged, estimate, words = _judged(problem, before, nominal, screen, level, seed, Shares())
     if judged.verdict == "noise-misstated" and _could_be_more(nominal, judged):
         # The alarm is raised whatever is found now: what remains is to say why, so each look may use the whole level.
         again = _judged(problem, before, nominal, screen, level, seed, Shares(1.0, 1.0, 1.0, Shares.noise))
         if again[1].verdict in ("effects", "unknown-structure"):
             scene, judged, estimate, words = again
-    return conclude(problem, before, estimate, nominal, scene, judged, check, (*remarks, *words), screen)
+    doubts = (f"The certificate of the {which} fit failed ({one.certificate.why}), so what is said of it may not hold."
+              for which, one in {"nominal": before, "final": estimate}.items()
+              if not one.certificate.passed)
+    return conclude(problem, before, estimate, nominal, scene, judged, check, (*remarks, *words, *doubts), screen)
+
+
+def _families(scene: Scene) -> list[Array]:
+    """Orthonormal directions of the candidates of each kind: one of them, or the steps of one channel."""
+    found: dict[tuple[str, str], list[int]] = {}
+    for place, one in enumerate(scene.chosen):
+        found.setdefault((one.effect.name, one.channel.partition("@")[0]), []).append(place)
+    return [orthonormal(np.concatenate([scene.field.signals[place] for place in places], axis=1),
+                        np.concatenate([scene.field.sizes[place] for place in places])) for places in found.values()]
 
 
 def _could_be_more(nominal: Scene, judged: Judgement) -> bool:
@@ -86,6 +99,8 @@ def _judged(
     if best.noise.kind != STATED and best.finding is not finding and not noise:
         # Something was significant, and this noise accounts for it better than any effect.
         noise = (NoiseTest(best.noise.kind, best.noise.where, best.noise.correlation, level),)
+    if noise or best.noise.kind != STATED:
+        best = replace(best, structure=best.structure or shapeless(scene, best))
     verdict = _verdict(best, named, outliers, noise)
     judged = Judgement(verdict, best.finding, named, outliers, best.structure, noise, best.noise)
     return scene, judged, estimate, words

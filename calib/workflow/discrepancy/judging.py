@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.analyse.score import Field, orthonormal
-from calib.workflow.discrepancy.noise import NoiseTest, noise_tests
-from calib.workflow.discrepancy.rivals import HEAVY, LARGE, SCALED, SERIAL, STATED, UNEVEN, Noise, accounts
+from calib.workflow.discrepancy.noise import FEWEST, NoiseTest, noise_tests, upper_tail
+from calib.workflow.discrepancy.rivals import HEAVY, LARGE, SCALED, SERIAL, STATED, UNEVEN, Noise, accounts, running
 from calib.workflow.discrepancy.scene import Scene
 from calib.workflow.discrepancy.search import Finding, Shares, noise_scale, search
-from calib.workflow.discrepancy.structure import MOST, Place, Screen, described
+from calib.workflow.discrepancy.structure import MOST, RUN, Place, Screen, described
 
 RARE = 6.0  # what a blunder costs beside its choice: it may be anywhere within 25 u to either side
 ADVANTAGE = 6.0  # by which peculiar noise must beat plain noise, and a structure without a name a named effect
@@ -110,17 +110,25 @@ def _search_again(scene: Scene, noise: Noise, level: float, seed: int, shares: S
 
 def _score_through(scene: Scene, finding: Finding, noise: Noise) -> float:
     """Score of the noise that is left when the effects of a finding are taken from the readings as they are."""
+    return next(one.score for one in accounts(_left(scene, finding), scene.channels) if one.kind == noise.kind)
+
+
+def _left(scene: Scene, finding: Finding) -> Field:
+    """What a finding leaves of the readings as they are, whatever noise it was found through."""
+    bare = replace(scene.field, signals=(), sizes=())
+    if not finding.effects:
+        return finding.left if finding.blunders else bare
     columns = np.concatenate([scene.field.signals[e] for e in finding.effects], axis=1)
     sizes = np.concatenate([scene.field.sizes[e] for e in finding.effects])
-    left = replace(scene.field, signals=(), sizes=()).taking(orthonormal(columns, sizes))
-    return next(one.score for one in accounts(left, scene.channels) if one.kind == noise.kind)
+    kept = bare.without(finding.blunders)
+    return kept.taking(orthonormal(kept.outside(columns), sizes))
 
 
 def _with_structure(
     scene: Scene, base: Finding, screen: Screen, level: float, seed: int, first: Screen | None, most: int = MOST
 ) -> Account | None:
     bare: Field = replace(base.left, signals=(), sizes=())
-    found, left, choices = described(bare, screen.shapes, level, seed, first, screen.looks, most)
+    found, left, choices = described(bare, screen.nameless, level, seed, first, screen.looks, most)
     if not found:
         return None
     noise = _plainest(accounts(left, scene.channels))
@@ -138,3 +146,15 @@ def failed_looks(scene: Scene, best: Account, level: float, seed: int) -> tuple[
         left = replace(scene.field, signals=(), sizes=()) if not best.finding.effects else left
     failed = [one for one, p in noise_tests(left, scene.channels, scale, seed) if p <= level]
     return tuple(sorted(failed, key=lambda t: t.p_value))
+
+
+def shapeless(scene: Scene, best: Account) -> tuple[Place, ...]:
+    """Structure that no pattern describes: what runs on beside the stated noise, where that accounts for what is left
+    better than any kind of noise does."""
+    left = _left(scene, best.finding)
+    if left.dof < FEWEST or left.basis.size >= LARGE:
+        return ()
+    score, size = running(left, scene.channels)
+    if score + ADVANTAGE > accounts(left, scene.channels)[0].score:
+        return ()
+    return (Place("all readings", "time", RUN, upper_tail(left), {"rms_over_u": size}),)

@@ -132,16 +132,15 @@ def noise_tests(field: Field, channels: Sequence[Channel], scale: float, seed: i
 def _memory(residuals: Array, channels: Sequence[Channel]) -> Iterator[tuple[str, Array]]:
     """Where one reading may remember the one before, and the correlation of each column of residuals."""
     squares = residuals**2
-    ways = sequences(channels)
-    for way, label in zip(ways, ("channels", "groups"), strict=False):
-        pairs = [(order, np.sum(residuals[order[1:]] * residuals[order[:-1]], axis=0)) for order in way
-                 if len(order) > 3]
-        for k, (order, product) in enumerate(pairs):
-            if len(order) >= FEWEST and len(pairs) == len(channels) and label == "channels":
-                yield channels[k].name, product / np.maximum(np.sum(squares[order], axis=0), 1e-300)
-        if len(pairs) > 1 or label == "groups":
-            total = sum(np.sum(squares[order], axis=0) for order, _ in pairs)
-            yield f"all {label}", sum(product for _, product in pairs) / np.maximum(total, 1e-300)
+    for label, way in sequences(channels).items():
+        pairs = [(np.sum(residuals[order[1:]] * residuals[order[:-1]], axis=0), np.sum(squares[order], axis=0))
+                 for order in way if len(order) > 3]
+        if label == "channels":
+            yield from ((channel.name, product / np.maximum(total, 1e-300))
+                        for channel, (product, total) in zip(channels, pairs, strict=False)
+                        if len(pairs) == len(channels) and len(channel.places) >= FEWEST)
+        if len(pairs) > 1 or (pairs and label != "channels"):
+            yield f"all {label}", sum(p for p, _ in pairs) / np.maximum(sum(t for _, t in pairs), 1e-300)
 
 
 def _sizes(field: Field, residuals: Array) -> Array:

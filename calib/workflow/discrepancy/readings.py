@@ -101,16 +101,33 @@ def _channel(
     return Channel(name, group.components[component], places, group.rows[inside], covariates, units, order)
 
 
-def sequences(channels: Sequence[Channel]) -> list[list[NDArray[np.int64]]]:
-    """Ways in which one reading may have followed another: each channel in time; and, where several groups have the
-    same components, those of one component as they stand in the file. Each way is a list of places in their order."""
-    ways = [[channel.places[channel.order] for channel in channels]]
+def sequences(channels: Sequence[Channel]) -> dict[str, list[NDArray[np.int64]]]:
+    """Ways in which one reading may have followed another, each a list of places in their order: each channel in time;
+    where several groups have the same components, those of one component as they stand in the file; and where a channel
+    takes several keys in turn (targets, lines), those of one key in time."""
+    ways = {"channels": [channel.places[channel.order] for channel in channels]}
     together = []
     for component in dict.fromkeys(channel.component for channel in channels):
         alike = [channel for channel in channels if channel.component == component]
         places = np.concatenate([channel.places for channel in alike])
         together.append(places[np.argsort(np.concatenate([channel.rows for channel in alike]), kind="stable")])
-    return [*ways, together] if len(together) < len(channels) else ways
+    if len(together) < len(channels):
+        ways["groups"] = together
+    for name in dict.fromkeys(name for channel in channels for name in channel.covariates):
+        apart = [places for channel in channels for places in _by_key(channel, channel.covariates.get(name))]
+        if len(apart) > len(channels):
+            ways[f"readings of each {name}"] = apart
+    return ways
+
+
+def _by_key(channel: Channel, keys: NDArray | None) -> list[NDArray[np.int64]]:
+    """Places of a channel in time, apart for every key of a text covariate that comes back after another one."""
+    if keys is None or keys.dtype.kind in "fiub":
+        return [channel.places[channel.order]]
+    inside = keys[channel.order]
+    if np.sum(inside[1:] != inside[:-1]) < len(np.unique(inside)):
+        return [channel.places[channel.order]]
+    return [channel.places[channel.order][inside == key] for key in np.unique(inside)]
 
 
 def row_numbers(fit: Linearisation) -> NDArray:

@@ -19,6 +19,8 @@ from calib.workflow.discrepancy.readings import Channel, sequences
 
 STATED, SCALED, UNEVEN, HEAVY, SERIAL = "as stated", "of another size", "uneven", "heavy-tailed", "serial"
 STEEPNESS = np.array([-1.2, -0.8, -0.4, 0.4, 0.8, 1.2])  # logarithm of the size of noise at the end of a covariate
+LASTING = (0.8, 0.9, 0.96, 0.99)  # correlation, from one reading to the next, of something that runs on between them
+VARIANCES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # of what runs on, over the stated one
 CORRELATIONS = np.concatenate([np.linspace(-0.7, 0.9, 17), [0.95, 0.98]])
 SMALLEST = 4.0  # redundancy of the smallest group of rows whose scatter is estimated
 LARGE = 3_000_000  # numbers in a basis, from which it is not made again for one more look
@@ -151,8 +153,8 @@ def _heavy(left: Field) -> Noise:
 
 
 def _serial(left: Field, channels: Sequence[Channel], dof: int, price: float) -> Noise:
-    """First-order serial correlation of free size within every channel, or from one group to the next."""
-    ways = sequences(channels)
+    """First-order serial correlation of free size along one of the ways in which readings follow each other."""
+    ways = list(sequences(channels).values())
     found = [_along(left, way, dof) for way in ways]
     best = int(np.argmin([score for score, _ in found]))
     score, correlation = found[best]
@@ -184,3 +186,35 @@ def _along(left: Field, way: Sequence[NDArray[np.int64]], dof: int) -> tuple[flo
         return float(dof * np.log(variance) + roots[-1] ** 2 / variance + determinant)
 
     return min((score(c), float(c)) for c in CORRELATIONS)
+
+
+def running(left: Field, channels: Sequence[Channel]) -> tuple[float, float]:
+    """Score of something that runs on from reading to reading beside the stated noise, and its root mean square in u.
+
+    It is what structure of any smooth shape looks like; noise with a memory has no part that is new in every reading.
+    The likelihood is the restricted one of V = I + s^2 R with R of a first-order autoregression, whose inverse Q has
+    three diagonals: V^-1 = I - (I + Q/s^2)^-1.
+    """
+    from scipy.linalg import cho_solve_banded, cholesky_banded
+
+    together = np.column_stack([left.basis, left.residual])
+    products, n = together.T @ together, len(together)
+    best = (np.inf, 0.0)
+    ways = sequences(channels)
+    for way in ways.values():
+        order = np.concatenate(way)
+        joined = np.ones(n, dtype=bool)  # whether a place is followed by the next of its sequence
+        joined[np.cumsum([len(one) for one in way]) - 1] = False
+        before, inside = np.concatenate([[False], joined[:-1]]), together[order]
+        for c in LASTING:
+            alone = 1 / (1 - c**2)
+            diagonal = np.where(joined & before, (1 + c**2) * alone, np.where(joined | before, alone, 1.0))
+            for variance in VARIANCES:
+                bands = np.stack([np.where(before, -c * alone, 0.0) / variance, 1 + diagonal / variance])
+                factor = cholesky_banded(bands)
+                outside = products - inside.T @ cho_solve_banded((factor, False), inside)
+                roots = np.diag(np.linalg.cholesky(outside + NOTHING * np.eye(len(outside))))
+                determinant = (2 * np.log(factor[1]).sum() + n * np.log(variance) + joined.sum() * np.log(1 - c**2)
+                               + 2 * np.log(roots[:-1]).sum())
+                best = min(best, (float(roots[-1] ** 2 + determinant), float(np.sqrt(variance))))
+    return best[0] + 2 * float(np.log(max(left.dof, 1)) + np.log(len(ways))), best[1]

@@ -26,6 +26,9 @@ DEGREES = 5  # of the polynomials over one covariate
 FEW = 12  # different values up to which a covariate is taken level by level
 SPLIT_BY = 6  # different keys up to which a channel is also looked at key by key
 DRAWS = 200  # simulated residuals from which the number of independent looks is judged
+RUN = "run"  # the shape of what has no other: it runs on from reading to reading
+INSIDE = 1e-6  # part of a pattern outside the effects of one kind, below which it is theirs
+SUM = 3  # parameters up to which a sum of such effects is an answer
 MOST = 5  # descriptions that may stand together
 
 
@@ -206,9 +209,13 @@ def _scaled(numbers: Array) -> Array:
 
 
 class Screen:
-    """Score tests of many patterns at once, each from its own rows, against residuals outside a basis."""
+    """Score tests of many patterns at once, each from its own rows, against residuals outside a basis.
 
-    def __init__(self, field: Field, shapes: Sequence[Pattern], seed: int, looks: tuple[float, float] | None = None):
+    families: orthonormal directions (n, k) of effects of one kind, which a pattern within them is no structure beside.
+    """
+
+    def __init__(self, field: Field, shapes: Sequence[Pattern], seed: int, looks: tuple[float, float] | None = None,
+                 families: Sequence[Array] = ()):
         self.shapes, self.field = [], field
         self._sheets: list[_Sheet] = []
         for _, run in groupby(shapes, lambda shape: id(shape.places)):
@@ -217,7 +224,15 @@ class Screen:
             self.shapes += seen
         self.dofs = np.concatenate([np.zeros(0, int), *(np.diff(s.ends, prepend=0) for s in self._sheets)])
         self.plain = np.array([shape.plain for shape in self.shapes], dtype=bool)
+        self.named = self.dofs <= SUM
+        self.named &= np.max([self.drops(frame).sum(axis=1) for frame in families], axis=0,
+                             initial=0.0) > self.dofs - INSIDE
         self.looks = self._looks(seed) if looks is None else looks
+
+    @property
+    def nameless(self) -> list[Pattern]:
+        """The patterns that no effects of one kind account for."""
+        return [shape for shape, named in zip(self.shapes, self.named, strict=True) if not named]
 
     def drops(self, residuals: Array) -> Array:
         """Drop of the sum of squares for each pattern (rows) and each column of residuals (n, count)."""
@@ -267,9 +282,10 @@ class Screen:
         if not self.shapes:
             return None
         p, gain = self.judged
-        if p.min() > level:
+        odd = (p <= level) & ~self.named
+        if not odd.any():
             return None
-        one = int(np.argmax(np.where(p <= level, gain, -np.inf)))
+        one = int(np.argmax(np.where(odd, gain, -np.inf)))
         shape = self.shapes[one]
         return shape, Place(shape.channel, shape.covariate, shape.kind, float(p[one])), float(self.each[one])
 

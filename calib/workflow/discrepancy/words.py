@@ -12,7 +12,7 @@ from calib.analyse.score import Candidate
 from calib.blocks import Array
 from calib.workflow.discrepancy.noise import NoiseTest
 from calib.workflow.discrepancy.scene import Scene
-from calib.workflow.discrepancy.structure import Place
+from calib.workflow.discrepancy.structure import RUN, Place
 
 if TYPE_CHECKING:
     from calib.workflow.discrepancy.conclusion import NamedEffect
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 LISTED = 6
 LEVEL = "level"  # the shape of a disagreement that is constant for each value of a covariate
 SHAPES = {LEVEL: "a constant for each", "trend": "a trend over", "curve": "a curve over", "cubic": "a cubic over",
-          "smooth": "a smooth function of", "fine": "a fine function of", "pieces": "steps over"}
+          "smooth": "a smooth function of", "fine": "a fine function of", "pieces": "steps over",
+          RUN: "something without a simple shape that runs on over"}
 INFLUENCES = {"time": "time (drifts)", "temperature_difference": "temperature (thermal effects)",
               "block": "block (steps between set-ups)"}  # what any reading may be recorded with, and what it shows
 FEW_SPARE = 5  # degrees of freedom below which hardly anything can be found
