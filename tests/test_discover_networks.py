@@ -15,7 +15,7 @@ from discover_cases import KINDS, gkf, hide, joint_network, judged, survey, writ
 
 import calib
 from calib import predict, simulate, solve
-from calib.units import ppm, um
+from calib.units import mm, ppm, um
 from problems import network
 
 BENCHMARK = Path(__file__).parent.parent / "benchmarks" / "discrepancy_hidden.py"
@@ -55,6 +55,19 @@ def test_an_instrument_that_moved_between_settings_is_found_as_a_step_of_its_sta
     assert found.verdict == "effects"
     assert {e.name for e in found.effects} == {"step"}
     assert all(e.channel.startswith("C tracker_") for e in found.effects)
+
+
+def test_a_blunder_is_left_out_of_its_own_table_where_several_number_their_rows_alike():
+    plan = survey(3)
+    problem = network.declare(plan)
+    far = next(o for o in problem.observations if o.group == "slope distance")
+    readings = np.array(far.readings)
+    readings[4] += 20 * mm
+    found = calib.explain(problem.with_readings({far.group: readings}))
+    assert found.verdict == "outliers"
+    assert [(one.group, one.row) for one in found.outliers] == [("slope distance", far.rows[4])]
+    assert f"row {far.rows[4]} of slope distance is a blunder" in found.sentence
+    assert sum(o.n for o in found.after.problem.observations) == sum(o.n for o in problem.observations) - 1
 
 
 def test_the_scale_of_distances_in_a_survey_file_is_named(command, tmp_path):

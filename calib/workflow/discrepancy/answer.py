@@ -32,6 +32,7 @@ def answer(case: str, found: Explanation, shown: Shown | None = None) -> dict[st
         "p_value": found.p_value,
         "effects": [_effect(one) for one in found.effects],
         "outlier_rows": list(found.outlier_rows),
+        "outliers": [{"group": one.group, "row": one.row} for one in found.outliers],
         "noise_factor": found.noise_factor,
         "rms": {"before": found.rms[0], "after": found.rms[1]},
         "heldout_rms": _pair(found.heldout_rms),

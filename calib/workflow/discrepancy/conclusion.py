@@ -18,12 +18,14 @@ from calib.workflow.discrepancy.alias import Hidden, aliases, hidden, proportion
 from calib.workflow.discrepancy.heldout import HeldOut, held_out
 from calib.workflow.discrepancy.looks import corrected
 from calib.workflow.discrepancy.noise import NoiseTest, size_test
+from calib.workflow.discrepancy.readings import Reading, without
 from calib.workflow.discrepancy.rivals import Noise
 from calib.workflow.discrepancy.scene import Scene
 from calib.workflow.discrepancy.search import Finding
 from calib.workflow.discrepancy.structure import Place, Screen
 from calib.workflow.discrepancy.words import (
     half_told,
+    in_words,
     next_measurement,
     plausibility,
     remarks_on,
@@ -63,7 +65,7 @@ class Explanation:
     """What was found; sentence says it in plain words.
 
     verdict: consistent, effects, unknown-structure, noise-misstated or outliers; p_value: of nominal model and stated
-    noise; effects; outlier_rows: of the data file; noise_factor: actual over stated standard deviation after the
+    noise; effects; outliers: the readings that are; noise_factor: actual over stated standard deviation after the
     effects; rms, heldout_rms: (before, after), the latter None where no rows are held out; where; structure; noise:
     looks at the noise that failed; hidden; next_measurement; ranking: of all candidates; remarks; before, after: the
     estimates; heldout: on held-out rows without and with what was found, None where no rows are held out.
@@ -73,7 +75,7 @@ class Explanation:
     sentence: str
     p_value: float
     effects: tuple[NamedEffect, ...]
-    outlier_rows: tuple[int, ...]
+    outliers: tuple[Reading, ...]
     noise_factor: float
     rms: tuple[float, float]
     heldout_rms: tuple[float, float] | None
@@ -88,6 +90,11 @@ class Explanation:
     after: Estimate
     heldout: tuple[HeldOut, HeldOut] | None
 
+    @property
+    def outlier_rows(self) -> tuple[int, ...]:
+        """Rows of the data file of the blunders."""
+        return tuple(one.row for one in self.outliers)
+
 
 @dataclass(frozen=True)
 class Judgement:
@@ -96,7 +103,7 @@ class Judgement:
     verdict: str
     finding: Finding
     named: tuple[Candidate, ...]
-    outliers: tuple[int, ...]
+    outliers: tuple[Reading, ...]
     structure: tuple[Place, ...]
     noise: tuple[NoiseTest, ...]
     account: Noise
@@ -126,6 +133,7 @@ def conclude(
         effects, advice = _named(scene, judged.finding, judged.named, after)
         remarks = (*remarks, *(half_told(c) for c in judged.named if c.parts is not None))
     rows = judged.outliers if verdict in ("effects", "outliers") else ()
+    listed = in_words(problem, rows)
     where = tuple(p for p in screen.places()[:MANY] if p.p_value < 0.01)
     looks = [size_test(nominal.field).p_value, *(p.p_value for p in where[:1]), *(e.p_value for e in effects)]
     p_value = corrected(min(looks), LOOKED_AT)  # each is corrected within its kind already
@@ -138,7 +146,7 @@ def conclude(
             remarks = (*remarks, f"The gap on held-out rows cannot be judged: without them, {error.sentence}")
     return Explanation(
         verdict,
-        sentence(verdict, effects, rows, judged.structure, judged.noise, rms,
+        sentence(verdict, effects, listed, judged.structure, judged.noise, rms,
                  (held[0].rms, held[1].rms) if held else None),
         p_value,
         effects,
@@ -150,7 +158,7 @@ def conclude(
         judged.structure,
         judged.noise,
         tuple(hidden(nominal.fit, nominal.field, nominal.chosen)),
-        next_measurement(verdict, advice, rows, judged.structure, judged.noise, standing_still(nominal)),
+        next_measurement(verdict, advice, listed, judged.structure, judged.noise, standing_still(nominal)),
         _ranking(nominal),
         (*remarks, *remarks_on(nominal)),
         before,
@@ -180,7 +188,7 @@ def _held(
     before: Estimate,
     after: Estimate,
     named: Sequence[Candidate],
-    rows: Sequence[int],
+    rows: Sequence[Reading],
 ) -> tuple[HeldOut, HeldOut] | None:
     """The gap on held-out rows of the nominal model and of the one with what was found."""
     first = held_out(problem, check, before)
@@ -191,11 +199,8 @@ def _held(
     better = problem.free(*[c.selection for c in named]) if named else problem
     masks = dict(check)
     if rows:
-        kept = {
-            o.group: ~np.isin(o.rows, rows) | check.get(o.group, np.zeros(o.n, bool))
-            for o in problem.observations
-            if not o.is_prior
-        }
+        kept = {group: mask | check.get(group, np.zeros(len(mask), bool))
+                for group, mask in without(problem, rows).items()}
         better = better.keep(kept)
         masks = {group: mask[kept[group]] for group, mask in check.items() if kept[group].any()}
     second = held_out(better, masks, after)

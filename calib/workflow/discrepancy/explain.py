@@ -17,12 +17,12 @@ from calib.workflow.discrepancy.alias import proportional
 from calib.workflow.discrepancy.conclusion import Explanation, Judgement, conclude
 from calib.workflow.discrepancy.judging import Account, best_account, failed_looks, nothing, shapeless
 from calib.workflow.discrepancy.noise import NoiseTest
-from calib.workflow.discrepancy.readings import row_numbers
+from calib.workflow.discrepancy.readings import Reading, readings_at, without
 from calib.workflow.discrepancy.rivals import SCALED, SERIAL, STATED
 from calib.workflow.discrepancy.scene import Scene, scene_of
 from calib.workflow.discrepancy.search import Finding, Shares, search
 from calib.workflow.discrepancy.structure import Screen, patterns
-from calib.workflow.discrepancy.words import plausibility
+from calib.workflow.discrepancy.words import in_words, plausibility
 
 ROUNDS = 4  # of naming and refitting, so that a curved model is judged where it is
 MOST_NAMED = 3  # effects up to which a sum of them is an answer; more is structure without a name
@@ -92,7 +92,9 @@ def _judged(
         else:
             listed = ", ".join(c.label for c in chosen)
             words = (f"The fit with {listed} freed cannot be solved, so they are not named although the "
-                     "residuals point at them; read positions in which they differ.",)
+                     "residuals point at them; read positions in which they differ." if chosen else
+                     f"Row {', '.join(in_words(problem, rows))} looks like a blunder, but without it the unknowns "
+                     "cannot be known; read it again.",)
             best = replace(best, finding=replace(nothing(nominal), scale=best.finding.scale))
             named, outliers, estimate = (), (), before
     noise = failed_looks(scene, best, level * shares.noise, seed)
@@ -108,10 +110,10 @@ def _judged(
 
 def _settled(
     problem: Problem, before: Estimate, scene: Scene, level: float, seed: int, shares: Shares
-) -> tuple[Scene, Finding, tuple[Candidate, ...], tuple[int, ...], Estimate]:
+) -> tuple[Scene, Finding, tuple[Candidate, ...], tuple[Reading, ...], Estimate]:
     """Name effects and blunders, refit, and look again until the same are named where the model then is."""
     named: tuple[Candidate, ...] = ()
-    outliers: tuple[int, ...] = ()
+    outliers: tuple[Reading, ...] = ()
     estimate, finding = before, search(scene.field, scene.readings, level, seed, shares, None, scene.positive)
     for _ in range(ROUNDS):
         finding = _likelier(scene, finding)
@@ -159,16 +161,17 @@ def _implausible(scene: Scene, effects: Sequence[int], one: int) -> bool:
     return bool(plausibility(scene.chosen[one], values)) or (one in scene.positive and values[0] <= 0)
 
 
-def _names(scene: Scene, finding: Finding) -> tuple[tuple[Candidate, ...], tuple[int, ...]]:
-    rows = {int(row_numbers(scene.fit)[b]) for b in finding.blunders} if finding.blunders else ()
-    return tuple(scene.chosen[e] for e in finding.effects), tuple(sorted(rows))
+def _names(scene: Scene, finding: Finding) -> tuple[tuple[Candidate, ...], tuple[Reading, ...]]:
+    return tuple(scene.chosen[e] for e in finding.effects), readings_at(scene.fit, finding.blunders)
 
 
-def _refit(problem: Problem, named: Sequence[Candidate], outliers: Sequence[int], start: Estimate) -> Estimate | None:
+def _refit(
+    problem: Problem, named: Sequence[Candidate], outliers: Sequence[Reading], start: Estimate
+) -> Estimate | None:
     """Solve with the named effects freed and the outlying rows left out; None where that cannot be solved."""
     freed = problem.free(*[c.selection for c in named]) if named else problem
     if outliers:
-        freed = freed.keep({o.group: ~np.isin(o.rows, outliers) for o in freed.observations if not o.is_prior})
+        freed = freed.keep(without(freed, outliers))
     try:
         estimate = solve(freed, start=start)
     except CalibrationError:
@@ -177,7 +180,7 @@ def _refit(problem: Problem, named: Sequence[Candidate], outliers: Sequence[int]
 
 
 def _verdict(
-    best: Account, named: Sequence[Candidate], outliers: Sequence[int], noise: Sequence[NoiseTest]
+    best: Account, named: Sequence[Candidate], outliers: Sequence[Reading], noise: Sequence[NoiseTest]
 ) -> str:
     if best.structure or len(named) > MOST_NAMED:
         return "unknown-structure"

@@ -130,6 +130,27 @@ def _by_key(channel: Channel, keys: NDArray | None) -> list[NDArray[np.int64]]:
     return [channel.places[channel.order][inside == key] for key in np.unique(inside)]
 
 
+@dataclass(frozen=True, order=True)
+class Reading:
+    """One reading by the row of its data file and its group: several tables number their rows alike."""
+
+    row: int
+    group: str
+
+
+def readings_at(fit: Linearisation, places: Sequence[int]) -> tuple[Reading, ...]:
+    """The readings that whitened scalar rows belong to, each once."""
+    numbers, ends = row_numbers(fit), np.cumsum([g.size for g in fit.groups])
+    return tuple(sorted({Reading(int(numbers[p]), fit.groups[int(np.searchsorted(ends, p, side="right"))].name)
+                         for p in places}))
+
+
+def without(problem: Problem, chosen: Sequence[Reading]) -> dict[str, NDArray[np.bool_]]:
+    """{group: (n,) true where a reading is none of the chosen}."""
+    return {o.group: ~np.isin(o.rows, [one.row for one in chosen if one.group == o.group])
+            for o in problem.observations if not o.is_prior}
+
+
 def row_numbers(fit: Linearisation) -> NDArray:
     """Row of the data file of every whitened scalar row; 0 for priors and for rows that mix several readings."""
     numbers = []

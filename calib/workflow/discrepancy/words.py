@@ -10,7 +10,9 @@ import numpy as np
 from calib import units
 from calib.analyse.score import Candidate
 from calib.blocks import Array
+from calib.problem import Problem
 from calib.workflow.discrepancy.noise import NoiseTest
+from calib.workflow.discrepancy.readings import Reading
 from calib.workflow.discrepancy.scene import Scene
 from calib.workflow.discrepancy.structure import RUN, Place
 
@@ -51,7 +53,7 @@ def half_told(one: Candidate) -> str:
 def sentence(
     verdict: str,
     effects: Sequence[NamedEffect],
-    rows: Sequence[int],
+    rows: Sequence[str],
     structure: Sequence[Place],
     noise: Sequence[NoiseTest],
     rms: tuple[float, float],
@@ -81,8 +83,15 @@ def sentence(
             f"from {rms[0]:.3g} to {rms[1]:.3g} u{unseen}.{also}{told if doubtful else ''}")
 
 
-def _blunders(rows: Sequence[int]) -> str:
-    listed = ", ".join(map(str, rows))
+def in_words(problem: Problem, readings: Sequence[Reading]) -> tuple[str, ...]:
+    """Readings by their rows, and by their groups where several groups have such a row."""
+    rows = np.concatenate([o.rows for o in problem.observations if not o.is_prior])
+    return tuple(str(one.row) if np.sum(rows == one.row) == 1 else f"{one.row} of {one.group.replace('_', ' ')}"
+                 for one in readings)
+
+
+def _blunders(rows: Sequence[str]) -> str:
+    listed = ", ".join(rows)
     return f"row {listed} is a blunder" if len(rows) == 1 else f"{len(rows)} rows are blunders: {listed}"
 
 
@@ -99,7 +108,7 @@ def _of_structure(place: Place) -> str:
 
 
 def next_measurement(
-    verdict: str, advice: str, rows: Sequence[int], structure: Sequence[Place], noise: Sequence[NoiseTest],
+    verdict: str, advice: str, rows: Sequence[str], structure: Sequence[Place], noise: Sequence[NoiseTest],
     standing: Mapping[str, Sequence[str]],
 ) -> str:
     """What to measure next, in a sentence without its full stop; empty where nothing would decide more.
@@ -122,7 +131,7 @@ def next_measurement(
             return f"repeat readings without moving anything where the scatter differs ({noise[0].where})"
         return "repeat some readings without moving anything, to tell larger noise from something that is missing"
     if verdict == "outliers":
-        return f"read row(s) {', '.join(map(str, rows))} again"
+        return f"read row {', '.join(rows)} again"
     shows = [f"{name.replace('_', ' ')} vary to show {', '.join(labels[:LISTED])}" for name, labels in standing.items()]
     return f"let {'; let '.join(shows[:LISTED])}" if shows else ""
 
