@@ -8,10 +8,12 @@ Source: Kahmen, Faig (1988), Surveying; Torgerson (1952), Psychometrika 17, for 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calib.errors import InputError
 from problems.network import frame_start, frames, heights, ranges
 from problems.network.lacking import Lacking
 from problems.network.plane import Frame, laid_onto
@@ -70,6 +72,10 @@ def grown(survey: Survey) -> dict[str, np.ndarray]:
             known.update(ranges.scaled(survey, known))
         else:
             _grow(survey, known, parts)
+            if survey.ranging and any(np.isnan(known[key]).any() for one in survey.ranging for key in one.targets):
+                with suppress(InputError):           # what no range places either is named by the caller
+                    known.update(ranges.scaled(replace(survey, correlated=(), batches=[
+                        batch for batch in survey.batches if batch.kind in RANGES]), known))
     return known
 
 

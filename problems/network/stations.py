@@ -84,10 +84,25 @@ def based(readings: Array, targets: Array) -> Array:
     place = targets - middle
     matrix = np.column_stack([2.0 * place, 2.0 * readings, np.ones(len(readings))])
     solution, _, rank, _ = np.linalg.lstsq(matrix, np.sum(place**2, axis=1) - readings**2, rcond=1e-9)
+    if rank == 4 and len(readings) > 4:
+        solution = _beside(matrix, solution)
+        rank = 5 if np.isfinite(solution).all() else rank
     if rank < 5:
         raise InputError("its targets lie in one plane, or are fewer than five, and its base point does not follow; "
                          "read targets off the plane")
     return np.append(solution[:3] + middle, solution[3])
+
+
+def _beside(matrix: Array, solution: Array) -> Array:
+    """The base point beside the plane of all targets, on one of the two sides that give the same readings: of the
+    solutions along what the targets leave open, where |B|^2 - (dead path)^2 is what it stands for."""
+    open_way = np.linalg.svd(matrix)[2][-1]
+    sign = np.array([1.0, 1.0, 1.0, -1.0])          # B.B - l l + K = 0, K the last unknown
+    quadratic = [float(sign @ open_way[:4] ** 2), float(2.0 * sign @ (solution[:4] * open_way[:4]) + open_way[4]),
+                 float(sign @ solution[:4] ** 2 + solution[4])]
+    roots = np.roots(quadratic)
+    real = roots[np.abs(roots.imag) < 1e-6 * np.abs(roots).max(initial=1.0)].real
+    return solution + real.max() * open_way if len(real) else np.full(5, np.nan)
 
 
 def spread(known: Mapping[str, Array], sightings: Sequence[Sightings]) -> bool:
