@@ -145,3 +145,45 @@ def test_every_point_has_its_ellipse_in_a_table_of_its_own(tmp_path, capsys):
     written = (tmp_path / "out" / "points.csv").read_text().splitlines()
     assert written[0].startswith("point,x_m,y_m,u_x_mm")
     assert len(written) == 4
+
+
+@pytest.mark.parametrize("encoding", ["iso-8859-2", "windows-1250", "utf-16", "utf-8-sig"])
+def test_names_come_through_in_the_encodings_that_surveyors_use(tmp_path, encoding):
+    named = gkf(square(), distances()).replace('"D"', '"Č1"')
+    named = named.replace('version="1.0"', f'version="1.0" encoding="{encoding}"')
+    path = tmp_path / "job.gkf"
+    path.write_bytes(named.replace('encoding="utf-8-sig"', "").encode(encoding))
+    assert "Č1" in network.read_gkf(path).points
+
+
+def test_an_encoding_that_cannot_be_read_is_named(tmp_path):
+    text = gkf(square(), distances()).replace('version="1.0"', 'version="1.0" encoding="shift_jis"')
+    assert "save the file as UTF-8" in refused(tmp_path, text)
+
+
+def test_a_fixed_point_that_is_observed_elsewhere_stays_and_that_is_said(tmp_path, plain):
+    observed = '<coordinates><point id="B" x="100.5" y="0"/><cov-mat dim="2" band="0">1 1</cov-mat></coordinates>'
+    estimate, _, remarks = adjusted(tmp_path, gkf(square(), distances() + FROM_A.format("") + observed))
+    np.testing.assert_allclose(estimate, plain[0], atol=1e-9)
+    assert "The coordinates of B are observed, and fixed at other values" in remarks[0]
+
+
+def test_a_mixed_cluster_of_coordinates_may_say_what_its_points_are(tmp_path):
+    # Q is a bench mark, P a point in space, declared where their coordinates are observed, correlated with one another.
+    text = gkf('<point id="A" x="0" y="0" z="0" fix="xyz"/>',
+               '<coordinates><point id="P" z="3" y="2" x="1" adj="xyz"/><point id="Q" z="3.5" adj="z"/>'
+               '<cov-mat dim="4" band="3">4 1 0 0 4 0 0 9 2 9</cov-mat></coordinates>'
+               '<vectors><vec from="A" to="P" dx="1.01" dy="2.0" dz="3.0"/><cov-mat dim="3" band="0">1 1 1</cov-mat>'
+               '</vectors><height-differences><dh from="P" to="Q" val="0.5" stdev="2"/></height-differences>')
+    one = job(tmp_path, text)
+    fit = solve(network.from_job(one)).fit
+    assert fit.dof == 4 + 3 + 1 - 4
+    # Normal equations by hand: x and y of P, z of P and Q, in mm.
+    readings = np.linalg.inv([[4, 1, 0, 0], [1, 4, 0, 0], [0, 0, 9, 2], [0, 0, 2, 9]])
+    normal = readings + np.diag([1.0, 1.0, 1.0, 0.0])
+    normal[2:, 2:] += np.array([[1, -1], [-1, 1]]) / 4.0
+    point = next(u for u in fit.layout.unknowns if u.name == "point")
+    place = dict(zip(point.keys, np.reshape(fit.values[point], (-1, 3)), strict=True))
+    pull = np.array([10.0, 0.0, 0.0, 0.0])      # only x of P is told twice, 10 mm apart
+    np.testing.assert_allclose(place["P"][0], 1.0 + 1e-3 * np.linalg.solve(normal, pull)[0], atol=1e-9)
+    np.testing.assert_allclose(place["P"][1], 2.0 + 1e-3 * np.linalg.solve(normal, pull)[1], atol=1e-9)

@@ -58,6 +58,7 @@ class _Network:
     reduced: str = ""
     tolerance: float | None = None
     row: int = 0
+    observed: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def wrong(self, element: Element, what: str) -> InputError:
         return InputError(f"{self.path}, line {element.line}: <{element.tag}> {what}")
@@ -108,11 +109,22 @@ def read_gkf(path: str | Path, strict: bool = True) -> Survey:
             f"(lines {', '.join(map(str, found.turned[:5]))}{' ...' if found.turned[5:] else ''}) are taken with y "
             "reversed. If they hold for the axes of the file, write angles that turn with the axes."
         )
+    remarks += _fixed_elsewhere(found)
     description = network.child("description")
     title = "" if description is None else " ".join(description.text.split())
     return Survey(found.points, loose, correlated, axes=axes, clockwise=angles == "left-handed", remarks=tuple(remarks),
                   a_posteriori=a_posteriori, tolerance=found.tolerance,
                   name=f"network {path.stem}" + (f" ({title[:60]})" if title else ""))
+
+
+def _fixed_elsewhere(found: _Network) -> list[str]:
+    """Remarks on fixed points whose coordinates are observed and differ: gama-local moves the point there."""
+    moved = [key for key, given in found.observed.items() if any(
+        found.points[key].role(part) == FIXED and value != found.points[key].position["xyz".index(part)]
+        for part, value in given.items())]
+    return [f"The coordinates of {', '.join(moved[:5])}{' ...' if moved[5:] else ''} are observed, and fixed at other "
+            "values: they stay where they are fixed (gama-local would move them). Write adj instead of fix to adjust "
+            "them."] if moved else []
 
 
 def _section(found: _Network, section: Element) -> None:
@@ -267,6 +279,7 @@ def _records(found: _Network, element: Element, cluster: Element) -> Iterator[Re
         key = _point(found, element, observed=True)
         given = {p: _number(found, element, p) for p in "xyz" if p in element.attributes}
         kind = {"xyz": "coordinates", "xy": "plane coordinates", "z": "height"}.get("".join(given), "")
+        found.observed[key] = given
         if not kind:
             raise found.wrong(element, f"'{key}' in <coordinates> has neither x and y nor z; give what was observed")
         yield _record(found, element, kind, (key, "", ""), tuple(given.values()), (None,) * len(given), mm, "m")
@@ -363,7 +376,8 @@ def _taking_part(
                     near = units.near_matches(key, list(found.points))
                     hint = f"did you mean '{near[0]}'? Else " if near else ""
                     raise InputError(f"{found.path}, line {record.line}: there is no point '{key}'; {hint}add a "
-                                     f"<point id='{key}'> with fix or adj")
+                                     f"<point id='{key}'> with fix or adj, or leave such readings out "
+                                     "(leave_out_weak, docs/networks.md)")
                 if not found.points.get(key, Point()).has(KINDS[record.kind].needs):
                     bad = bad or key
             if bad:

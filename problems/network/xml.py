@@ -68,4 +68,6 @@ def read_xml(path: Path) -> Element:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from None
     except xml.parsers.expat.ExpatError as error:
         raise InputError(f"{path}: is not XML: {error}; correct that line") from None
+    except (ValueError, LookupError) as error:      # of the decoder that the XML declaration names
+        raise InputError(f"{path}: cannot be decoded ({error}); save the file as UTF-8") from None
     return root[0]
