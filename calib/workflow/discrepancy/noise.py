@@ -16,7 +16,7 @@ from calib.workflow.discrepancy.readings import Channel, sequences
 
 DRAWS = 200  # simulated residuals from which mean and spread of every figure are taken
 SERIAL, UNEVEN = "serial correlation", "uneven size"
-SPREAD, EVENNESS, MEMORY = 0.6, 0.25, 0.15  # shares of the level: heavy tails are the last to show
+SPREAD, EVENNESS, MEMORY = 0.5, 0.25, 0.25  # shares of the level: heavy tails are the last to show
 FEW = 12  # different values up to which a covariate is taken part by part
 FEWEST = 8  # readings from which their tails and their memory can be judged
 BARELY = 0.02  # redundancy below which a residual shows nothing of its reading

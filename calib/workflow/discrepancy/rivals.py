@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,29 +193,44 @@ def running(left: Field, channels: Sequence[Channel]) -> tuple[float, float]:
     """Score of something that runs on from reading to reading beside the stated noise, and its root mean square in u.
 
     It is what structure of any smooth shape looks like; noise with a memory has no part that is new in every reading.
-    The likelihood is the restricted one of V = I + s^2 R with R of a first-order autoregression, whose inverse Q has
-    three diagonals: V^-1 = I - (I + Q/s^2)^-1.
+    The likelihood is the restricted one of V = I + s^2 R with R of an autoregression of first (rough) or second order
+    (smooth), whose inverse Q has few diagonals: V^-1 = I - (I + Q/s^2)^-1.
     """
     from scipy.linalg import cho_solve_banded, cholesky_banded
 
     together = np.column_stack([left.basis, left.residual])
-    products, n = together.T @ together, len(together)
-    best = (np.inf, 0.0)
+    products, best = together.T @ together, (np.inf, 0.0)
     ways = sequences(channels)
     for way in ways.values():
-        order = np.concatenate(way)
-        joined = np.ones(n, dtype=bool)  # whether a place is followed by the next of its sequence
-        joined[np.cumsum([len(one) for one in way]) - 1] = False
-        before, inside = np.concatenate([[False], joined[:-1]]), together[order]
-        for c in LASTING:
-            alone = 1 / (1 - c**2)
-            diagonal = np.where(joined & before, (1 + c**2) * alone, np.where(joined | before, alone, 1.0))
+        inside = together[np.concatenate(way)]
+        since = np.concatenate([np.arange(len(one)) for one in way])  # places since the beginning of a sequence
+        for order, c in product((1, 2), LASTING):
+            bands, logarithm = _precision(since, order, c)
             for variance in VARIANCES:
-                bands = np.stack([np.where(before, -c * alone, 0.0) / variance, 1 + diagonal / variance])
-                factor = cholesky_banded(bands)
+                tied = bands / variance
+                tied[-1] += 1.0
+                factor = cholesky_banded(tied)
                 outside = products - inside.T @ cho_solve_banded((factor, False), inside)
                 roots = np.diag(np.linalg.cholesky(outside + NOTHING * np.eye(len(outside))))
-                determinant = (2 * np.log(factor[1]).sum() + n * np.log(variance) + joined.sum() * np.log(1 - c**2)
+                determinant = (2 * np.log(factor[-1]).sum() + len(since) * np.log(variance) - logarithm
                                + 2 * np.log(roots[:-1]).sum())
                 best = min(best, (float(roots[-1] ** 2 + determinant), float(np.sqrt(variance))))
     return best[0] + 2 * float(np.log(max(left.dof, 1)) + np.log(len(ways))), best[1]
+
+
+def _precision(since: NDArray[np.int64], order: int, c: float) -> tuple[Array, float]:
+    """Upper diagonals (order + 1, n) and logarithm of the determinant of the inverse of R, the correlations of
+    (1 - cL)^order x = e along sequences; since (n,): places since the beginning of each."""
+    if order == 1:
+        steps, new = [[1.0, -c, 0.0], [1.0, -c, 0.0]], [1 - c**2, 1 - c**2]
+    else:
+        steps = [[1.0, -2 * c / (1 + c**2), 0.0], [1.0, -2 * c, c**2]]
+        new = [((1 - c**2) / (1 + c**2)) ** 2, (1 - c**2) ** 3 / (1 + c**2)]
+    rows = (np.array([[1.0, 0.0, 0.0], *steps]) / np.sqrt([1.0, *new])[:, None])[np.minimum(since, 2)]
+    logarithm = 2 * float(np.log(rows[:, 0]).sum())
+    ahead = np.concatenate([rows, np.zeros((2, 3))])  # what comes after the last place
+    bands = np.zeros((3, len(rows)))
+    bands[2] = ahead[:-2, 0] ** 2 + ahead[1:-1, 1] ** 2 + ahead[2:, 2] ** 2
+    bands[1, 1:] = (ahead[1:-1, 0] * ahead[1:-1, 1] + ahead[2:, 1] * ahead[2:, 2])[:-1]
+    bands[0, 2:] = (ahead[2:, 0] * ahead[2:, 2])[:-2]
+    return bands[2 - order:], logarithm
