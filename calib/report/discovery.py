@@ -110,12 +110,14 @@ def _gap(shown: Shown) -> Grid:
         rows += [_gap_row(g.group, g.readings, g.rms, g.variance_factor, g.heldout) for g in shown.gaps[:LISTED]]
     names = ("rms of r/u", "variance factor", "rms on held-out readings")
     if found.after is found.before:
-        return Grid(["", "readings", *names], [row[:3] + row[4:5] + row[6:7] for row in rows])
-    return Grid(["", "readings", *(text for name in names for text in (f"{name} before", "after"))], rows)
+        return Grid(["", "readings", *names], [row[:3] + row[4:5] + row[6:7] for row in rows]).without_empty()
+    return Grid(["", "readings", *(text for name in names for text in (f"{name} before", "after"))],
+                rows).without_empty()
 
 
 def _gap_row(name: str, readings: int, *pairs: tuple[float, float] | None) -> list[str]:
-    return [name, str(readings), *(numbers.plain(one, 4) for pair in pairs for one in pair or (None, None))]
+    return [name, str(readings), *("" if one is None else numbers.plain(one, 4)
+                                   for pair in pairs for one in pair or (None, None))]
 
 
 def _results(shown: Shown) -> Grid | None:

@@ -14,11 +14,11 @@ from calib.blocks import Array
 from calib.errors import CalibrationError
 from calib.problem import Problem
 from calib.solve.estimate import Estimate
-from calib.workflow.discrepancy.alias import Hidden, aliases, hidden, proportional, what_would_tell
+from calib.workflow.discrepancy.alias import RAISES, Hidden, aliases, hidden, proportional, what_would_tell
 from calib.workflow.discrepancy.heldout import HeldOut, held_out
 from calib.workflow.discrepancy.looks import corrected
-from calib.workflow.discrepancy.noise import NoiseTest, size_test
-from calib.workflow.discrepancy.readings import Reading, without
+from calib.workflow.discrepancy.noise import BARELY, NoiseTest, size_test
+from calib.workflow.discrepancy.readings import Reading, readings_at, without
 from calib.workflow.discrepancy.rivals import Noise
 from calib.workflow.discrepancy.scene import Scene
 from calib.workflow.discrepancy.search import Finding
@@ -133,6 +133,7 @@ def conclude(
         effects, advice = _named(scene, judged.finding, judged.named, after)
         remarks = (*remarks, *(half_told(c) for c in judged.named if c.parts is not None))
     rows = judged.outliers if verdict in ("effects", "outliers") else ()
+    remarks = (*remarks, *_or_else(problem, nominal, judged))
     listed = in_words(problem, rows)
     where = tuple(p for p in screen.places()[:MANY] if p.p_value < 0.01)
     looks = [size_test(nominal.field).p_value, *(p.p_value for p in where[:1]), *(e.p_value for e in effects)]
@@ -165,6 +166,24 @@ def conclude(
         after,
         held,
     )
+
+
+def _or_else(problem: Problem, nominal: Scene, judged: Judgement) -> tuple[str, ...]:
+    """That one effect would do where blunders were found, or one blunder where effects were, in a sentence."""
+    field, enough = nominal.field, judged.finding.left.squares + RAISES
+    if judged.verdict == "outliers":
+        alike = [c.label for c, drop in zip(nominal.chosen, field.statistics[0], strict=True)
+                 if field.squares - drop <= enough]
+        found = f"a blunder in row {', '.join(in_words(problem, judged.outliers))}"
+    elif judged.verdict == "effects" and not judged.outliers:
+        shown = np.where(field.redundancy > BARELY, field.residual**2 / np.maximum(field.redundancy, BARELY), 0.0)
+        places = [p for p in nominal.readings if field.squares - shown[p] <= enough]
+        alike = [f"a blunder in row {row}" for row in in_words(problem, readings_at(nominal.fit, places))]
+        found = " and ".join(c.label for c in judged.named)
+    else:
+        return ()
+    return (f"These readings cannot tell {found} from {' or '.join(alike)}: what is read again there decides.",
+            ) if alike else ()
 
 
 def _spread(estimate: Estimate) -> float:
