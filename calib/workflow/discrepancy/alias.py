@@ -18,7 +18,7 @@ RAISES = 4.0  # expected rise of the sum of squares up to which another effect i
 FEW = 6  # instances up to which an unknown is a result, where no quantity is asked for
 NOTICED = 0.1  # share of the standard uncertainty of a result from which a hidden effect is listed
 PROPORTIONAL = 1e-9  # distance from it up to which two columns are proportional
-RAISED = 1.0  # rise in these very readings up to which they leave open which of two it is
+RAISED = 0.5  # rise in these very readings up to which they leave open which of two it is: odds of 3 to 4 or better
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,8 @@ def aliases(
                 continue
             stand_in = orthonormal(seen, field.sizes[other])
             left = signal - stand_in @ (stand_in.T @ signal)
-            # The estimate holds noise of its own, one unit for each direction that the other does not share.
-            noise = directions.shape[1] - float(np.sum((stand_in.T @ directions) ** 2))
-            expected = float(left @ left) - estimated * noise
             raised = float(np.sum((directions.T @ bare.residual) ** 2) - np.sum((stand_in.T @ bare.residual) ** 2))
-            if expected <= RAISES or (estimated and raised <= RAISED):
+            if left @ left <= RAISES or (estimated and raised <= RAISED):
                 found[one].append(other)
     return found
 

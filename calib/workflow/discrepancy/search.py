@@ -101,7 +101,11 @@ def search(
     most_blunders = max(6, len(readings) // 12) if most_blunders is None else most_blunders
     effects, blunders = _forward(model, most_blunders, start)
     squares, taken = model.squares(effects, blunders)
-    effects = _exchange(model, effects, blunders, noise_scale(squares, field.dof - taken), start is None)
+    scale = noise_scale(squares, field.dof - taken)
+    # A blunder may have been a reading at which an effect not yet found is large: both with them and without.
+    trials = [(_exchange(model, effects, some, scale, start is None), some)
+              for some in ([blunders, []] if blunders else [blunders])]
+    effects, blunders = min(trials, key=lambda trial: model.costs([trial[0]], trial[1], scale)[0])
     return _backward(model, effects, blunders, level, shares)
 
 

@@ -14,7 +14,8 @@ from calib.analyse.score import Field, orthonormal
 from calib.blocks import Array
 
 PARAMETER = 4.0  # what a parameter costs: of two effects that explain the readings alike, the simpler one is named
-SAME = 1e-9  # share of a direction outside the others, below which it is theirs
+SAME = 1e-4  # squared share of a direction outside the others, below which it is theirs (it would be a hundredfold)
+TRACE = 1e-9  # that keeps a matrix regular
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ class Subsets:
     def _corner(self, places: list[int]) -> Array:
         """Inner products of what shows of errors of single readings; a trace keeps it regular where nothing does."""
         basis = self.field.basis[places]
-        return (1 + SAME) * np.eye(len(places)) - basis @ basis.T
+        return (1 + TRACE) * np.eye(len(places)) - basis @ basis.T
 
     def rises(self, effects: Sequence[int], blunders: Sequence[int]) -> Array:
         """By how much the sum of squares would rise without each blunder alone, all from one inverse (Schur)."""
@@ -113,7 +114,7 @@ class Subsets:
         alone, places = self.products(()), list(blunders)
         inside = [q for e in effects for q in range(alone.starts[e], alone.ends[e])]
         across = self._rows(places)[:, inside]
-        matrix = alone.matrix[np.ix_(inside, inside)] + SAME * np.eye(len(inside))
+        matrix = alone.matrix[np.ix_(inside, inside)] + TRACE * np.eye(len(inside))
         inverse = np.linalg.inv(np.block([[matrix, across.T], [across, self._corner(places)]]))
         steps = inverse @ np.concatenate([alone.pull[inside], self.field.residual[places]])
         return np.asarray(steps**2 / np.diag(inverse))[len(inside):]
@@ -143,4 +144,4 @@ class Subsets:
         left, taken, allowed = self.products(blunders).judge(sets)
         choices = np.array([len(one) for one in sets]) * np.log(self.looks + 1)
         choices += len(blunders) * np.log(max(len(self.readings), 1))
-        return np.where(allowed, left / scale + PARAMETER * taken + 2 * choices, np.inf)
+        return np.where(allowed, left / scale + PARAMETER * (taken + len(blunders)) + 2 * choices, np.inf)
