@@ -240,7 +240,18 @@ def laid(place: Array, free: Sequence[str], own: Array, there: Array, columns: S
     follow. columns: of the coordinates that count."""
     own, there = (np.where(np.isin(np.arange(3), columns), points, 0.0) for points in (own, there))
     start = _scanned(place, free, own, there)
-    return _solved(_there, [own], Unknown("frame", start, frames.UNITS, PARTS), free, there)
+    found = _solved(_there, [own], Unknown("frame", start, frames.UNITS, PARTS), free, there)
+    return None if found is None else principal(found, free)
+
+
+def principal(place: Array, free: Sequence[str]) -> Array:
+    """The same place with free turns within half a circle, and, where all three are free, ry within a quarter."""
+    found = place.copy()
+    turns = [i for i in (3, 4, 5) if PARTS[i] in free]
+    if len(turns) == 3 and np.cos(found[4]) < 0.0:
+        found[3:] = found[3] + np.pi, np.pi - found[4], found[5] + np.pi
+    found[turns] = np.pi - (np.pi - found[turns]) % (2.0 * np.pi)
+    return found
 
 
 def _scanned(place: Array, free: Sequence[str], own: Array, there: Array) -> Array:
