@@ -9,6 +9,7 @@ from shipped import example
 from calib import (
     Constraint,
     Gaussian,
+    Ipopt,
     Observations,
     Problem,
     Quantity,
@@ -21,10 +22,10 @@ from calib import (
     solve,
 )
 from calib.compiled import available, row_back_end
-from calib.errors import CalibrationError
 from calib.linearisation import linearise_system
 from calib.system import System
 from calib.workflow.montecarlo import Adaptive
+from calib.workflow.places import Threads
 from calib.workflow.propagation import verdict
 from calib.workflow.trials import BLOCK, FactoredTrials, LargeTrials, SmallTrials, trials_of
 
@@ -107,17 +108,26 @@ def test_the_square_of_a_normal_quantity_has_a_skew_interval_and_the_shortest_is
     assert shortest[1] - shortest[0] < symmetric[1] - symmetric[0]
 
 
-def test_inequalities_are_refused():
-    a = Unknown("a")
-    problem = Problem([Observations(lambda a: a, a, readings=[0.0], u=1.0)], quantities=[Quantity("a", lambda a: a, a)])
-    estimate = solve(problem)
-    limited = Problem(
-        problem.observations, [Constraint("limit", lambda a: a, a, tolerance=1e-9, upper=np.inf)], problem.quantities
-    )
-    from dataclasses import replace
+@pytest.mark.slow
+def test_trials_keep_to_inequalities_as_they_do_to_bounds():
+    # The mean of four readings that cannot be negative: half of the trials lie at zero, as where it is a bound.
+    a, bounded = Unknown("a"), Unknown("b", lower=0.0)
 
-    with pytest.raises(CalibrationError, match="inequality constraints"):
-        montecarlo(replace(estimate, problem=limited), 10, seed=1)
+    def mean(unknown, constraints=()):
+        readings = Observations(lambda a: a, unknown[np.zeros(4, int)], readings=np.zeros(4), u=1.0)
+        return Problem([readings], constraints, [Quantity("mean", lambda a: a, unknown)])
+
+    limited = mean(a, [Constraint("limit", lambda a: a, a, tolerance=1e-9, upper=np.inf)])
+    found = montecarlo(solve(limited, Ipopt()), 200, seed=3)
+    at_bound = montecarlo(solve(mean(bounded)), 20_000, seed=3)
+    assert found.failures == 0
+    assert found.samples.min() > -1e-7
+    assert np.mean(found.samples < 1e-6) == pytest.approx(0.5, abs=0.11)      # 3 standard deviations
+    # The mean of the positive half of N(0, 1/2) and of as many zeros, by its integral.
+    assert at_bound.mean[0] == pytest.approx(0.5 / np.sqrt(2 * np.pi), abs=0.01)
+    assert found.mean[0] == pytest.approx(0.5 / np.sqrt(2 * np.pi), abs=3 * 0.29 / np.sqrt(200))
+    again = montecarlo(solve(limited, Ipopt()), 40, seed=3, place=Threads(2))
+    assert np.array_equal(again.samples, found.samples[:40])
 
 
 def test_linear_propagation_is_reported_beside_the_samples():

@@ -125,17 +125,13 @@ def montecarlo(
     who makes the trials (`Threads()` of this program if not given). Readings and priors are drawn from the declared
     model; held unknowns with a prior are drawn from it. The samples follow from the seed alone, however many threads or
     machines there are, and a longer run begins with a shorter one.
-    Raises CalibrationError where the problem has inequalities, which this check does not cover.
+    Raises CalibrationError where nothing is wanted. Problems with inequalities are solved trial by trial, slowly.
     Source: JCGM 101:2008, 7.
     """
     system = System(estimate.problem)
     chosen = tuple(quantities if quantities is not None else estimate.problem.quantities)
     if not chosen:
         raise CalibrationError(f"{estimate.problem.name} has no quantities; name the results that you want sampled.")
-    if any(not c.is_equality for c in estimate.problem.constraints):
-        raise CalibrationError(
-            f"{estimate.problem.name} has inequality constraints, which the Monte Carlo check does not cover."
-        )
     from calib.analyse.covariance import covariance
 
     truth = dict(estimate.values)

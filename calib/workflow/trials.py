@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from threading import Lock
 from typing import Protocol
 
 import numpy as np
@@ -11,8 +12,10 @@ from numpy.typing import NDArray
 from calib.analyse.covariance import Considered, considered
 from calib.blocks import Array
 from calib.compiled import pays
+from calib.errors import CalibrationError
 from calib.linearisation import Linearisation, linearise_system, pulled
 from calib.observations import Quantity
+from calib.solve.estimate import solve
 from calib.solve.unrolled import is_small, unrolled
 from calib.system import System
 from calib.unknown import Unknown
@@ -20,6 +23,7 @@ from calib.workflow.lanes import STEPS, Lanes, is_bounded, mix, unwrap
 
 BLOCK = 5_000  # trials of one stream of random numbers
 LANE_NUMBERS = 4_000_000  # numbers in the derivatives of one block where these are stored
+SOLVED_AT_A_TIME = 20  # trials of one stream where each takes a solver of its own
 FACTORED_NUMBERS = 100_000  # numbers in the derivatives of one trial from which on none are stored
 
 
@@ -46,6 +50,8 @@ def trials_of(
 
     system, fit: of the problem, linearised at the truth; quantities: results wanted; expected: number of trials.
     """
+    if any(not condition.bound.is_equality for condition in system.conditions):
+        return ConstrainedTrials(system, fit, truth, quantities, expected)
     bounded = any(is_bounded(u) and system.layout.free[system.layout.span(u)].any() for u in system.layout.unknowns)
     if is_small(system) and not fit.factor.defect and not bounded:
         return SmallTrials(system, fit, truth, quantities, expected)
@@ -248,3 +254,34 @@ class FactoredTrials(LargeTrials):
             if remaining < 1e-8 or 0.3 * previous < remaining < 1e-5 or not np.isfinite(remaining):
                 break
         return values, remaining < 1e-5
+
+
+class ConstrainedTrials(LargeTrials):
+    """Trials of a problem with inequalities: each is solved for itself by the interior-point method, slowly."""
+
+    def __init__(
+        self, system: System, fit: Linearisation, truth: dict[Unknown, Array], quantities: Sequence[Quantity],
+        expected: int,
+    ):
+        super().__init__(system, fit, truth, quantities, expected)
+        self.block = SOLVED_AT_A_TIME
+        self._alone = Lock()      # the solver's expressions belong to one thread at a time
+
+    def sample(self, seed: int, number: int, count: int) -> tuple[Array, NDArray[np.bool_]]:
+        """Results (count, k) of the first trials of a block, and which of them converged."""
+        from calib.solve.ipopt import Ipopt
+
+        readings, results, good = self._draw(*streams(seed, number), count), [], np.zeros(count, dtype=bool)
+        method, start = Ipopt(), {u: u.show(value) for u, value in self._truth.items()}
+        for trial in range(count):
+            drawn = {term.bound.group: reading[trial] for term, reading in
+                     zip(self._system.terms, readings, strict=True)}
+            values = self._truth
+            try:
+                with self._alone:
+                    estimate = solve(self._system.problem.with_readings(drawn), method, start)
+                values, good[trial] = dict(estimate.values), estimate.converged
+            except CalibrationError:      # it has no solution; it is counted
+                pass
+            results.append(self._lanes.functions(self._quantities, values, 1)[0])
+        return np.array(results), good
