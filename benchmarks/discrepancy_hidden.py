@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from discover_cases import KINDS, judged, problem_of, seal, write
 
 COLUMNS = ("kind", "hidden", "size", "cases", "alarm", "detected", "one_of_them", "all_or_alias_set", "exact",
-           "within_2u", "rms_before", "rms_after", "seconds")
+           "exact_where_separable", "within_2u", "rms_before", "rms_after", "seconds")
 FIRST = 3_000  # seed of the first case; nothing was tuned on these
 HIDDEN = ((0, 0.0), (1, 1.0), (1, 3.0), (1, 10.0), (2, 3.0))
 
@@ -68,11 +68,12 @@ def lines(folder: Path) -> Iterable[list[object]]:
             if not chosen:
                 continue
             found = [judged(t, a) for t, a in chosen]
+            separable = [f.exact for (t, _), f in zip(chosen, found, strict=True) if t["separable"]]
             within = [w for f in found for w in f.within_2u]
             rates = [np.mean([f.alarmed for f in found]), np.mean([f.verdict == "effects" for f in found]),
                      *([np.mean([f.any_of_them for f in found]), np.mean([f.all_or_alias for f in found]),
-                        np.mean([f.exact for f in found]), np.mean(within) if within else np.nan] if count
-                       else [np.nan] * 4),
+                        np.mean([f.exact for f in found]), np.mean(separable) if separable else np.nan,
+                        np.mean(within) if within else np.nan] if count else [np.nan] * 5),
                      *np.median([f.rms for f in found], axis=0), np.median([a["seconds"] for _, a in chosen])]
             yield [kind, count, size, len(chosen), *("" if np.isnan(r) else f"{r:.3f}" for r in rates)]
 

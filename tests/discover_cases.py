@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from calib import Observations, Pose, Problem, Unknown, geometry, linearise, simulate, solve, units
-from calib.analyse.score import Candidate, Field, candidates, field_of, orthonormal
+from calib.analyse.score import Candidate, Field, candidates, columns_of, field_of, orthonormal
 from calib.job import Job
 from calib.mechanism import (
     Frame,
@@ -34,6 +34,7 @@ from calib.mechanism import (
     thermal_scale,
 )
 from calib.units import arcsec, minute, mm, um
+from calib.workflow.discrepancy.alias import aliases
 from calib.workflow.solution import declared
 from instruments import laser_tracker
 from problems import hexapod, multilateration, network, positioner, three_axis_turntable
@@ -161,10 +162,12 @@ KINDS: dict[str, Callable[[int], Problem]] = {
 
 @dataclass(frozen=True)
 class Hidden:
-    """Effects put into readings: [(name, channel, {parameter: value SI})], and the readings {group: (n, dim)} SI."""
+    """Effects put into readings: [(name, channel, {parameter: value SI})], the readings {group: (n, dim)} SI, and
+    whether no other candidate could stand in for one of them."""
 
     effects: list[tuple[str, str, dict[str, float]]]
     readings: dict[str, np.ndarray]
+    separable: bool
 
 
 def hide(problem: Problem, seed: int, count: int, size: float) -> Hidden | None:
@@ -195,6 +198,10 @@ def hide(problem: Problem, seed: int, count: int, size: float) -> Hidden | None:
             chosen.append((one, values))
     if len(chosen) < count:
         return None
+    places = [offered.index(one) for one, _ in chosen]
+    positive = frozenset(i for i, one in enumerate(offered) if [p.lower for p in one.effect.parameters] == [0.0])
+    others = aliases(field, places, {i: v for i, (_, v) in zip(places, chosen, strict=True)},
+                     columns_of(fit, offered), positive, estimated=False)
     truth: dict[Any, Any] = {u: estimate[u] for u in problem.unknowns}
     for one, values in chosen:
         whole = np.reshape(np.array(truth[one.unknown], float), (one.unknown.count, -1))
@@ -203,7 +210,8 @@ def hide(problem: Problem, seed: int, count: int, size: float) -> Hidden | None:
     drawn = simulate(problem, truth, seed + 500_000)
     readings = {o.group: np.asarray(o.readings) for o in drawn.observations if not o.is_prior}
     return Hidden([(one.effect.name, one.channel, dict(zip([p.name for p in one.effect.parameters], values.tolist(),
-                                                            strict=True))) for one, values in chosen], readings)
+                                                            strict=True))) for one, values in chosen], readings,
+                  not any(others.values()))
 
 
 def _shown(field: Field, k: int, together: list[tuple[Candidate, np.ndarray, np.ndarray]]) -> float:
@@ -223,8 +231,9 @@ def write(kind: str, seed: int, count: int, size: float, cases: Path, truths: Pa
     name = f"{kind}-{seed}-{count}-{size:g}"
     stored: dict[str, Any] = {group.replace("/", "_"): values for group, values in hidden.readings.items()}
     np.savez(cases / f"{name}.npz", **stored)
-    (truths / f"{name}.json").write_text(json.dumps({"kind": kind, "seed": seed, "size": size,
-                                                     "effects": hidden.effects}), encoding="utf-8")
+    (truths / f"{name}.json").write_text(json.dumps({
+        "kind": kind, "seed": seed, "size": size, "effects": hidden.effects, "separable": hidden.separable}),
+        encoding="utf-8")
     return True
 
 
