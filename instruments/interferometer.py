@@ -27,33 +27,35 @@ TRACKING = ("Schwenke et al., CIRP Annals 54 (2005) 475-478, error mapping of CM
 HELIUM_NEON = 632.8 * nm
 
 
-def displacement(position: Any, start: Any, sense: Any, *, length: Any = direct, displacement: Any = direct) -> Any:
+def displacement(position: Any, start: Any, sense: Any, *, length: Any = direct, displacement: Any = direct,
+                 reading: Any = direct) -> Any:
     """Reading of a displacement interferometer.
 
     position: of the reflector along the line of measurement [m]; start: position at which the counter read zero [m];
     sense: +1 or -1.
-    Slots: `length` (the position as the beam sees it; may ask for `position`) and `displacement` (the reading shown).
-    Returns sense (position - start) [m].
+    Slots: `length` (the position as the beam sees it; may ask for `position`), `displacement` (as it is counted) and
+    `reading` (as it is shown, with the interpolation between the fringes). Returns sense (position - start) [m].
     """
-    return displacement(sense * (length(position, position=position) - start), position=position)
+    return reading(displacement(sense * (length(position, position=position) - start), position=position))
 
 
 def tracking(point: Any, base: Any, start: Any, sense: Any, *, tracked_point: Any = direct, tracking_base: Any = direct,
-             length: Any = direct, displacement: Any = direct) -> Any:
+             length: Any = direct, displacement: Any = direct, reading: Any = direct) -> Any:
     """Reading of a tracking interferometer that turns about a base point.
 
     point: (3,) of the reflector [m]; base: (3,) base point [m]; start: length at which the counter read zero [m];
     sense: +1 or -1.
-    Slots: `tracked_point`, `tracking_base` ((3,) each), `length` (from base to point) and `displacement` (the reading
-    shown). Effects at the last two may ask for `line` ((3,) unit vector from base to point) and `azimuth` (of that,
-    about z from x [rad]).
+    Slots: `tracked_point`, `tracking_base` ((3,) each), `length` (from base to point), `displacement` (as it is
+    counted) and `reading` (as it is shown, with the interpolation between the fringes). Effects at `length` and
+    `displacement` may ask for `line` ((3,) unit vector from base to point) and `azimuth` (of that, about z from x
+    [rad]).
     Returns sense (|point - base| - start) [m]. Source: Chen, Li, Zhang, Zhao (2007), J. Astronautic Metrology and
     Measurement 27(2), eq (1).
     """
     path = tracked_point(point, base=base) - tracking_base(base, point=point)
     distance = sqrt(dot(path, path))
     asked = {"line": path / distance, "azimuth": atan2(path[1], path[0]), "distance": distance}
-    return displacement(sense * (length(distance, **asked) - start), **asked)
+    return reading(displacement(sense * (length(distance, **asked) - start), **asked))
 
 
 @hands_slots_to(tracking)
@@ -104,6 +106,7 @@ def cosine(slot: str, channel: str, source: str = FIELD) -> Effect:
 def cyclic(slot: str, channel: str, wavelength: float = HELIUM_NEON, passes: int = 2) -> Effect:
     """Cyclic error of the interpolation: + c cos(psi) + s sin(psi), psi = 2 pi passes/wavelength times the value.
 
+    The fringes follow the path as it is, so the slot is the one after drift, thermal growth and late triggering.
     slot, channel: as of an Effect; wavelength [m]; passes: how often the path is traversed, 2 for a plain reflector.
     Returns the effect. Source: Hou and Wilkening, Precision Engineering 14 (1992) 91-98.
     """
@@ -127,7 +130,7 @@ def effects(blocks: Sequence[int] = (), wavelength: float = HELIUM_NEON) -> tupl
         Effect("dead_path", "length",
                lambda value, p, temperature_difference: p.l * air.PER_KELVIN * temperature_difference,
                (Parameter("l", "mm", (5 * mm, 2 * metre), lower=0.0),), "d", source=FIELD),
-        cyclic("displacement", "d", wavelength),
+        cyclic("reading", "d", wavelength),
         influence.drift("displacement", "um", (0.05 * um / hour, 20 * um / hour), channel="d", source=FIELD),
         influence.thermal("displacement", "um", (0.05 * um, 10 * um), channel="d", source=FIELD),
         *influence.steps("displacement", "um", (0.2 * um, 100 * um), blocks, channel="d", source=FIELD),

@@ -78,6 +78,19 @@ def test_the_cyclic_error_has_two_waves_for_each_wavelength_of_displacement():
     assert reading - d == pytest.approx(np.array([5, 3, -5, 5]) * nm, abs=1e-9 * nm)
 
 
+def test_the_fringes_follow_the_path_with_all_that_changes_it():
+    wave, d = interferometer.HELIUM_NEON, np.linspace(0.0, 1.0, 5) * um
+    time = np.arange(5) * 60.0
+    observations = Observations(interferometer.displacement, d, Shared(0.0), Shared(1.0), u=nm,
+                                covariates={"time": (time, "s")})
+    cyclic, drift = EVERY["cyclic (d)"], EVERY["drift (d)"]
+    values = {cyclic: np.array([5 * nm, 3 * nm]), drift: np.array([50 * nm / 60])}
+    reading = predict(Problem([observations], effects=[cyclic, drift]), values)["readings"][:, 0]
+    moved = d + 50 * nm / 60 * time
+    psi = 4 * np.pi * moved / wave
+    assert reading == pytest.approx(moved + (5 * np.cos(psi) + 3 * np.sin(psi)) * nm, abs=1e-9 * nm)
+
+
 def test_the_base_wanders_twice_in_a_turn_of_azimuth():
     added = tracked("base_wander (d)", np.array([1 * um, 0.0])) - tracked()
     # azimuths 0, 90, (above) and 180 degrees
