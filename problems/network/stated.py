@@ -75,8 +75,8 @@ def _sight(instrument: Settings, per_metre: float, dimension: str) -> dict[str, 
     if dimension != "angle":
         raise InputError(f"{where}: only angles are pointed; take it out, or add what it does to a length to u")
     try:
-        of = units.dimension(unit_in(text))
         value = units.quantity(text)
+        of = units.dimension(unit_in(text))
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
     if of not in ("length", "angle", "angle/length") or value < 0.0:
