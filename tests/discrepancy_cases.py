@@ -20,6 +20,8 @@ from calib.workflow.discrepancy.readings import Channel, channels, row_numbers
 SEEN = 0.05  # share of a signal that the unknowns must leave for an effect to be hidden in a case
 APART = 0.5  # share of its signal that an effect must keep beside the others of its case
 FEWEST = 28  # rows of a case
+DRAWS = 60  # designs that are drawn before one of this size is given up
+FEW = 12  # rows of a small one, of the size of published tables: as many as there are below FEWEST
 SHAPES = ("triangle", "fourth", "fifth", "bump", "product", "wave in time", "saturating", "growing hysteresis",
           "step within", "lagging", "square of temperature", "different by direction")
 NOISES = ("larger", "smaller", "channel", "block", "growing", "heavy", "heavy of stated size", "serial")
@@ -29,7 +31,8 @@ NOISES = ("larger", "smaller", "channel", "block", "growing", "heavy", "heavy of
 class Case:
     """Readings with something hidden: problem, held-out rows, and the truth apart from them.
 
-    effects: {(name, channel): parameters (k,) SI}; rows: blundered rows; verdict: the right one; what: in words.
+    effects: {(name, channel): parameters (k,) SI}; rows: blundered rows; verdict: the right one; what: in words;
+    factor: of the noise to the stated one.
     """
 
     problem: Problem
@@ -39,6 +42,7 @@ class Case:
     effects: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
     rows: tuple[int, ...] = ()
     labels: tuple[str, ...] = ()
+    factor: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -81,12 +85,14 @@ def stage(design: Design) -> _Stage:
                   row_numbers(fit), u)
 
 
-def _design(scenario: str, g: np.random.Generator) -> Design:
-    """A design with enough readings for an effect of the size of the noise to be seen at all."""
-    while True:
+def _design(scenario: str, g: np.random.Generator, small: bool = False) -> Design:
+    """A design with enough readings for an effect of the size of the noise to be seen at all; small: or fewer."""
+    for _ in range(DRAWS):
         design = DESIGNS[scenario](g)
-        if sum(mask.size for mask in design.check.values()) >= FEWEST:
+        count = sum(mask.size for mask in design.check.values())
+        if FEW <= count < FEWEST if small else count >= FEWEST:
             return design
+    raise ValueError(f"{scenario} has no {'small ' * small}design with so many rows")
 
 
 def _net(signal: np.ndarray, raw: np.ndarray) -> float:
@@ -94,10 +100,15 @@ def _net(signal: np.ndarray, raw: np.ndarray) -> float:
     return float(np.sqrt(signal @ signal / max(int(touched.sum()), 1)))
 
 
-def hide_effects(scenario: str, seed: int, count: int, size: float, blunders: int = 0) -> Case:
-    """A case with `count` effects of one size (count 0: clean), and blunders of 8 to 20 times the noise beside them."""
+def hide_effects(
+    scenario: str, seed: int, count: int, size: float, blunders: int = 0, factor: float = 1.0, small: bool = False
+) -> Case:
+    """A case with `count` effects of one size (count 0: clean), and blunders of 8 to 20 times the noise beside them.
+
+    factor: of the noise to the stated one; small: a design with few readings.
+    """
     g = np.random.default_rng([seed, 77])
-    here = stage(_design(scenario, g))
+    here = stage(_design(scenario, g, small))
     effects: dict[tuple[str, str], np.ndarray] = {}
     labels, truth = [], dict(here.design.truth)
     # A phase at half a wavelength is known on a fine line only; elsewhere nobody could find what turns with it.
@@ -129,11 +140,11 @@ def hide_effects(scenario: str, seed: int, count: int, size: float, blunders: in
     for unknown, values in stored.items():
         truth[unknown] = values.reshape(np.shape(unknown.show(unknown.ambient)))
     exact = predict(here.plan, truth) if effects else here.exact
-    noise = g.standard_normal(len(here.numbers))
+    noise = factor * g.standard_normal(len(here.numbers))
     rows = _blunder(g, here, noise, blunders, 8.0) if blunders else ()
     problem = here.design.build(here.readings(exact, noise))
     return Case(problem, here.design.check, "effects" if effects else "consistent",
-                f"{len(effects)} effects of size {size}" if effects else "clean", effects, rows, tuple(labels))
+                f"{len(effects)} effects of size {size}" if effects else "clean", effects, rows, tuple(labels), factor)
 
 
 def _blunder(g: np.random.Generator, here: _Stage, noise: np.ndarray, count: int, size: float) -> tuple[int, ...]:
@@ -155,6 +166,8 @@ def hide_structure(scenario: str, seed: int, size: float) -> Case:
         values = _shape(g, shape, channel)
         if values is None:
             continue
+        if channel.component == "V" and g.random() < 0.7:  # in the zenith distance, before face 2 turns its sign
+            values = values * channel.covariates.get("face", 1.0)
         raw = np.zeros(len(here.numbers))
         raw[channel.places] = values
         net = raw - here.basis @ (here.basis.T @ raw)

@@ -39,9 +39,13 @@ class Design:
 
 
 def _temperature(g: Generator, time: np.ndarray) -> np.ndarray:
-    """Difference of temperature [K]: a wandering room, a slow wave, or one that runs with time."""
+    """Difference of temperature [K]: a wandering room, a slow wave, one that runs with time (also exactly), or none."""
     hours = (time - time[0]) / 3600.0
-    kind = g.integers(3)
+    kind = g.choice(5, p=[0.3, 0.2, 0.3, 0.1, 0.1])
+    if kind == 3:
+        return g.normal(0, 0.5) + g.choice([-1, 1]) * g.uniform(0.5, 3) * hours / max(hours[-1], 0.1)
+    if kind == 4:
+        return np.full(len(time), g.normal(0, 0.5))
     if kind == 0:
         steps = np.diff(hours, prepend=0.0)
         return g.normal(0, 0.5) + np.cumsum(g.normal(0, 1, len(time)) * np.sqrt(np.maximum(steps, 0)) * 0.7)
@@ -60,25 +64,45 @@ def _time(g: Generator, n: int, step: float) -> np.ndarray:
     return np.cumsum(np.concatenate([[0.0], step * g.uniform(0.8, 1.2, n - 1)]))
 
 
+def _blocks(g: Generator, laid: np.ndarray, sweep: np.ndarray) -> np.ndarray:
+    """Numbers of the blocks: as laid, one a sweep, cut anywhere, or a single one."""
+    kind = g.choice(4, p=[0.55, 0.15, 0.2, 0.1])
+    if kind == 1:
+        return np.minimum(1 + sweep, 6)
+    if kind == 2:
+        return 1 + (np.arange(len(laid)) >= g.integers(len(laid) // 5 + 1, max(4 * len(laid) // 5, len(laid) // 5 + 2)))
+    return laid if kind == 0 else np.ones_like(laid)
+
+
+def _sweep(g: Generator, grids: list[tuple[int, int]]) -> np.ndarray:
+    """Angles of one sweep: an even grid (span, step) [deg], or anywhere on the circle."""
+    if g.random() < 0.15:
+        return np.sort(g.uniform(0, 2 * np.pi, g.integers(7, 20)))
+    span, step = grids[g.integers(len(grids))]
+    return np.arange(0, span + 1, step) * degree
+
+
 def level(g: Generator) -> Design:
-    """One or two tables, one or more set-ups, both directions; a part turn or a full one."""
+    """One or two tables, one or more set-ups, both directions or one; a part turn or a full one."""
     tables = ["T1", "T2"][: g.integers(1, 3)]
-    span, step = [(90, 5), (90, 10), (180, 10), (360, 30), (360, 15), (330, 30)][g.integers(6)]
-    sweep = np.arange(0, span + 1, step) * degree
+    sweep = _sweep(g, [(90, 5), (90, 10), (120, 15), (180, 10), (360, 30), (360, 15), (330, 30)])
+    back = -1 if g.random() < 0.8 else 1
     rows = []
-    block = 0
+    block = number = 0
     for t in tables:
         for setup in range(g.integers(1, 3)):
             block += 1
             tilt = np.zeros(2) if setup == 0 else g.uniform(-80, 80, 2) * arcsec
             for k in range(g.integers(1, 3) if len(sweep) > 12 else 2):
-                for a in sweep if k % 2 == 0 else sweep[::-1]:
-                    rows.append((t, block, 1 if k % 2 == 0 else -1, a, *tilt))
+                for a in sweep[:: 1 if k % 2 == 0 else back]:
+                    rows.append((t, block, 1 if k % 2 == 0 else back, a, number, *tilt))
+                number += 1
     table = [r[0] for r in rows]
-    blocks, direction, angle = (np.array([r[i] for r in rows]) for i in (1, 2, 3))
-    applied = np.array([r[4:] for r in rows])
+    settings, direction, angle, sweeps = (np.array([r[i] for r in rows]) for i in (1, 2, 3, 4))
+    applied = np.array([r[5:] for r in rows])
+    blocks = _blocks(g, settings, sweeps)
     n = len(rows)
-    time = _time(g, n, g.uniform(20, 90)) + (blocks - 1) * g.uniform(0, 600)
+    time = _time(g, n, g.uniform(20, 90)) + (settings - 1) * g.uniform(0, 600)
     cov = {"time": (time, "s"), "temperature_difference": (_temperature(g, time), "K"), "direction": direction,
            "block": blocks}
     u = g.choice([0.15, 0.2, 0.4]) * arcsec
@@ -101,13 +125,17 @@ def theodolite(g: Generator) -> Design:
                          strict=False))
     distance = dict(zip(ids, g.uniform(0.9, 2.2, 4), strict=False))
     two_faces = g.random() < 0.8
-    sweep = np.arange(0, [181, 331][g.integers(2)], [15, 20, 30][g.integers(3)]) * degree
+    sweep = _sweep(g, [(span, step) for span in (120, 180, 330) for step in (15, 20, 30)])
+    back, faces = -1 if g.random() < 0.8 else 1, (1, -1) if two_faces else (1,)
     rows = []
-    for block in range(1, g.integers(2, 4)):
-        for a in sweep if block % 2 else sweep[::-1]:
-            rows += [(t, f, block, 1 if block % 2 else -1, a) for t in ids for f in ((1, -1) if two_faces else (1,))]
+    for number in range(g.integers(1, 3)):
+        way = 1 if number % 2 == 0 else back
+        for some in (ids,) if g.random() < 0.7 else ((t,) for t in ids):  # all targets at an angle, or one by one
+            rows += [(t, f, number, way, a) for a in sweep[::way] for t in some for f in faces]
     target = [r[0] for r in rows]
-    face, blocks, direction, angle = (np.array([r[i] for r in rows]) for i in (1, 2, 3, 4))
+    face, sweeps, direction, angle = (np.array([r[i] for r in rows]) for i in (1, 2, 3, 4))
+    changes = np.cumsum([a != b for a, b in zip(target, target[:1] + target[:-1], strict=True)])
+    blocks = _blocks(g, 1 + sweeps, changes if changes[-1] < 6 else sweeps)
     time = _time(g, len(rows), 17)
     cov = {"time": (time, "s"), "temperature_difference": (_temperature(g, time), "K"), "direction": direction,
            "block": blocks}
@@ -128,13 +156,14 @@ def theodolite(g: Generator) -> Design:
 def tracker(g: Generator) -> Design:
     """One or two reflectors on a table some metres from a tracker, one way or two, with repetitions."""
     count, step = int(g.integers(1, 3)), [10, 20, 30][g.integers(3)]
-    sweep = np.arange(0, 361 if g.random() < 0.7 else 200, step) * degree
+    sweep = _sweep(g, [(360, step), (360, step), (200, step), (120, 10)])
     repeats = int(g.integers(1, 3))
     rows = []
     for s in range(2 if g.random() < 0.8 else 1):
         for a in sweep if s == 0 else sweep[::-1]:
-            rows += [(a, i, s + 1, 1 - 2 * s) for _ in range(repeats) for i in range(count)]
-    command, item, block, direction = (np.array([r[i] for r in rows]) for i in range(4))
+            rows += [(a, i, s, 1 - 2 * s) for _ in range(repeats) for i in range(count)]
+    command, item, sweeps, direction = (np.array([r[i] for r in rows]) for i in range(4))
+    block = _blocks(g, 1 + sweeps, sweeps)
     n = len(rows)
     time = _time(g, n, 12)
     axis = g.normal(0, 1, 3) if g.random() < 0.4 else np.array([*g.normal(0, 0.05, 2), 1.0])
@@ -166,10 +195,11 @@ def lines(g: Generator) -> Design:
     chosen = [corners[i] for i in ([0, 1, 2] if g.random() < 0.4 else sorted(g.choice(6, g.integers(3, 7), False)))]
     points, along, blocks, way, line, zeroing, speed, sigma = [], [], [], [], [], [], [], []
     chosen = [(*one, False) for one in chosen] + ([((0.5, 0.5, 0), 0, True)] if g.random() < 0.35 else [])
-    count = int(g.integers(10, 18))
+    count, ways = int(g.integers(5, 18)), (1, -1) if g.random() < 0.85 else (1,)
+    places = np.sort(g.uniform(0.02, 0.98, count)) if g.random() < 0.25 else np.linspace(0.02, 0.98, count)
     for number, (corner, axis, fine) in enumerate(chosen, 1):
-        run = 0.5 + np.linspace(0, 1.3 * um, 24) / size[axis] if fine else np.linspace(0.02, 0.98, count)
-        for way_now in (1, -1):
+        run = 0.5 + np.linspace(0, 1.3 * um, 24) / size[axis] if fine else places
+        for way_now in ways:
             for s in run if way_now == 1 else run[::-1]:
                 p = np.array(corner, float) * size
                 p[axis] = s * size[axis]
@@ -220,7 +250,8 @@ def locators(g: Generator, poses: int | None = None) -> Design:
     part = drawn_poses(n, int(g.integers(10**6)))
     frame = Transform(pose((0, 0, 0), 0.002, -0.001, 1.1).rotation, g.uniform(-4, 4, 3))
     temperature = _temperature(g, 300.0 * np.arange(n))
-    approach, block = g.choice([-1.0, 1.0], (n, 3)), 1 + (np.arange(n) >= n // 2)
+    approach = g.choice([-1.0, 1.0], (n, 3)) if g.random() < 0.8 else np.ones((n, 3))
+    block = 1 + (np.arange(n) >= g.integers(n // 4, 3 * n // 4))
     split = np.where(_checked(g, np.arange(n)), "check", "fit")
     keys, names = [locator.key for locator in setup.locators], list(setup.targets)
     per_pose = len(keys) + len(names)

@@ -61,7 +61,8 @@ def outcome(case: Case, level: float = 0.01, gap: bool = True) -> Outcome:
         if not any(theirs.values()):
             separable = float(exact)
         if exact:
-            missed = float(any(theirs[key] - set(one.aliases) for key, one in mine.items()))
+            if any(theirs.values()):
+                missed = float(any(theirs[key] - set(one.aliases) for key, one in mine.items()))
             listed = sum(len(one.aliases) for one in mine.values())
             spurious = sum(len(set(one.aliases) - theirs[key]) for key, one in mine.items())
             within, ratio = _parameters(case, mine)
@@ -98,7 +99,7 @@ def _parameters(case: Case, mine) -> tuple[float, float]:
     oracle = linearise(solve(freed))
     inside, ratios = [], []
     for one in chosen:
-        own = covariance(oracle, one.selection).u
+        own = covariance(oracle, one.selection).u * case.factor
         true = case.effects[one.effect.name, one.channel]
         for parameter, t, u in zip(one.effect.parameters, true, own, strict=True):
             value, its_u, unit = mine[one.effect.name, one.channel].parameters[parameter.name]
