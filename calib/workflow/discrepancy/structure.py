@@ -266,6 +266,7 @@ class Screen:
         left = self.field.dof - self.dofs
         scale = np.where(left > 0, np.maximum(1.0, (self.field.squares - drops) / np.maximum(left, 1)), 1.0)
         p = corrected_each(tails(drops, self.dofs, scale, left), self.each)
+        p = np.where(self.dofs <= left, p, 1.0)  # what takes most of the redundancy describes nothing
         return p, drops / scale - self.dofs * np.log(max(self.field.dof, 2))
 
     def places(self) -> list[Place]:
