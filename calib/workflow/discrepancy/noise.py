@@ -107,88 +107,101 @@ def noise_tests(field: Field, channels: Sequence[Channel], scale: float, seed: i
     its evenness and its memory are judged; seed: of the simulated residuals of the same geometry that each of these
     looks is compared with.
     """
-    from scipy.special import erfc
-
     together = np.concatenate([(field.residual / np.sqrt(scale))[:, None], field.draw(seed, DRAWS)], axis=1)
-    families = ((SERIAL, MEMORY, list(_memory(together, channels))),
-                (UNEVEN, EVENNESS / 2, list(_of_channels(field, together, channels))),
-                (UNEVEN, EVENNESS / 2, list(_along_covariates(field, together, channels))))
-    present = SPREAD + sum(share for _, share, looks in families if looks)
+    families = ((SERIAL, MEMORY, _memory(together, channels)),
+                (UNEVEN, EVENNESS / 2, _of_channels(field, together, channels)),
+                (UNEVEN, EVENNESS / 2, _along_covariates(field, together, channels)))
+    looked = [(what, share, list(looks)) for what, share, looks in families]
+    present = SPREAD + sum(share for _, share, looks in looked if looks)
     spread = spread_test(field)
     found = [(spread, spread.p_value * present / SPREAD)]
-    for what, share, looks in families:
+    for what, share, looks in looked:
         if not looks:
             continue
-        figures = np.array([values for _, values in looks])
-        drawn = figures[:, 1:]
-        z = np.abs(figures - drawn.mean(axis=1, keepdims=True)) / np.maximum(drawn.std(axis=1, keepdims=True), 1e-12)
-        p = erfc(z / np.sqrt(2))
+        p = np.array([own for _, _, own in looks])
         among = effective_looks(p[:, 1:].min(axis=0), len(looks))
-        found += [(NoiseTest(what, where, float(values[0]), float(one)), corrected(float(one), among) * present / share)
-                  for (where, values), one in zip(looks, p[:, 0], strict=True)]
+        found += [(NoiseTest(what, where, figure, float(own[0])), corrected(float(own[0]), among) * present / share)
+                  for where, figure, own in looks]
     return found
 
 
-def _memory(residuals: Array, channels: Sequence[Channel]) -> Iterator[tuple[str, Array]]:
-    """Where one reading may remember the one before, and the correlation of each column of residuals."""
+def _against_drawn(figures: Array) -> Array:
+    """Two-sided p-values of figures that are nearly normal, (1 + draws,), by mean and spread of the drawn ones."""
+    from scipy.special import erfc
+
+    drawn = figures[1:]
+    return np.asarray(erfc(np.abs(figures - drawn.mean()) / max(float(drawn.std()), 1e-12) / np.sqrt(2)))
+
+
+def _against_stated(field: Field, places: NDArray[np.int64], squares: Array) -> Array:
+    """Two-sided p-values of the sum of squares of some residuals, by the gamma distribution of its mean and variance.
+
+    Of residuals with covariance M these are tr(M) and 2 tr(M^2): the score of a variance component (Rao 1948).
+    """
+    from scipy.special import gammainc, gammaincc
+
+    taken = field.basis[places]
+    inner = taken.T @ taken if taken.shape[1] < len(places) else taken @ taken.T
+    mean = len(places) - float(np.trace(inner))
+    half = len(places) - 2 * float(np.trace(inner)) + float(np.sum(inner**2))  # of the variance
+    shape, size = mean**2 / (2 * half), squares * mean / (2 * half)
+    return np.asarray(np.minimum(1.0, 2 * np.minimum(gammainc(shape, size), gammaincc(shape, size))))
+
+
+Look = tuple[str, float, Array]  # where, the figure, p-values of it and of the drawn ones (1 + draws,)
+
+
+def _memory(residuals: Array, channels: Sequence[Channel]) -> Iterator[Look]:
+    """Where one reading may remember the one before: correlation of successive residuals."""
     squares = residuals**2
     for label, way in sequences(channels).items():
         pairs = [(np.sum(residuals[order[1:]] * residuals[order[:-1]], axis=0), np.sum(squares[order], axis=0))
                  for order in way if len(order) > 3]
-        if label == "channels":
-            yield from ((channel.name, product / np.maximum(total, 1e-300))
-                        for channel, (product, total) in zip(channels, pairs, strict=False)
-                        if len(pairs) == len(channels) and len(channel.places) >= FEWEST)
+        found = [(channel.name, product / np.maximum(total, 1e-300))
+                 for channel, (product, total) in zip(channels, pairs, strict=False)
+                 if label == "channels" and len(pairs) == len(channels) and len(channel.places) >= FEWEST]
         if len(pairs) > 1 or (pairs and label != "channels"):
-            yield f"all {label}", sum(p for p, _ in pairs) / np.maximum(sum(t for _, t in pairs), 1e-300)
+            total = np.maximum(sum(t for _, t in pairs), 1e-300)
+            found.append((f"all {label}", sum(p for p, _ in pairs) / total))
+        yield from ((where, float(figures[0]), _against_drawn(figures)) for where, figures in found)
 
 
-def _sizes(field: Field, residuals: Array) -> Array:
-    """Size of every residual, weighted by what it shows of the noise of its reading.
+def _of_channels(field: Field, residuals: Array, channels: Sequence[Channel]) -> Iterator[Look]:
+    """Size of the residuals of each channel."""
+    yield from (_sized_part(field, residuals, channel.name, channel.places) for channel in channels
+                if len(channels) > 1 and field.redundancy[channel.places].sum() > 1)
 
-    The cube root of a square is nearly normal, so that a few rows and many are judged alike and one blunder is no
-    uneven size (Wilson and Hilferty 1931).
+
+def _sized_part(field: Field, residuals: Array, where: str, places: NDArray[np.int64]) -> Look:
+    squares = np.sum(residuals[places] ** 2, axis=0)
+    size = float(np.sqrt(squares[0] / field.redundancy[places].sum()))
+    return where, size, _against_stated(field, places, squares)
+
+
+def _along_covariates(field: Field, residuals: Array, channels: Sequence[Channel]) -> Iterator[Look]:
+    """Size of the residuals of each channel for every value of what was recorded beside them, or how it runs along.
+
+    The cube root of a square is nearly normal, so that one blunder is no uneven size (Wilson and Hilferty 1931); each
+    counts by what it shows of the noise of its reading.
     """
     seen = field.redundancy[:, None]
-    return seen * np.cbrt(residuals**2 / np.where(seen > BARELY, seen, np.inf))
-
-
-def _of_channels(field: Field, residuals: Array, channels: Sequence[Channel]) -> Iterator[tuple[str, Array]]:
-    """Share of each channel in the size of all residuals."""
-    if len(channels) < 2:
-        return
-    sizes = _sizes(field, residuals)
-    whole = np.maximum(sizes.sum(axis=0), 1e-300)
+    sizes = seen * np.cbrt(residuals**2 / np.where(seen > BARELY, seen, np.inf))
     for channel in channels:
-        yield channel.name, sizes[channel.places].sum(axis=0) / whole
-
-
-def _along_covariates(field: Field, residuals: Array, channels: Sequence[Channel]) -> Iterator[tuple[str, Array]]:
-    """How the size of the residuals of each channel goes with what was recorded beside them."""
-    sizes = _sizes(field, residuals)
-    for channel in channels:
-        own, weights = sizes[channel.places], field.redundancy[channel.places]
-        mean = np.maximum(own.mean(axis=0), 1e-300)
-        for name, column in _uneven(channel):
-            centred = column - np.average(column, weights=np.maximum(weights, BARELY))
-            yield f"{channel.name}, {name}", centred @ own / mean
-
-
-def _uneven(channel: Channel) -> Iterator[tuple[str, Array]]:
-    """Along what the size of the residuals may run: each part, each covariate, and away from its middle."""
-    for covariate, values in channel.covariates.items():
-        different = list(dict.fromkeys(values.tolist()))
-        if len(different) < 2:
-            continue
-        if len(different) <= FEW:
-            for value in different:
-                inside = values == value
-                if 4 <= np.sum(inside) < len(values):
-                    yield f"{covariate} {value}", inside.astype(float)
-        elif values.dtype.kind in "fiu":
-            numbers = values.astype(float)
-            yield covariate, numbers
-            yield f"{covariate} away from its middle", np.abs(numbers - np.median(numbers))
+        weights = np.maximum(field.redundancy[channel.places], BARELY)
+        own = sizes[channel.places]
+        for covariate, values in channel.covariates.items():
+            different = list(dict.fromkeys(values.tolist()))
+            if 1 < len(different) <= FEW:
+                for value in different:
+                    places = channel.places[values == value]
+                    if len(places) >= 4 and field.redundancy[places].sum() > 1:
+                        yield _sized_part(field, residuals, f"{channel.name}, {covariate} {value}", places)
+            elif len(different) > FEW and values.dtype.kind in "fiu":
+                numbers = values.astype(float)
+                away = np.abs(numbers - np.median(numbers))
+                for where, column in ((covariate, numbers), (f"{covariate} away from its middle", away)):
+                    figures = (column - np.average(column, weights=weights)) @ own / np.maximum(own.sum(axis=0), 1e-300)
+                    yield f"{channel.name}, {where}", float(figures[0]), _against_drawn(figures)
 
 
 def lagged(array: Array, sequences: Sequence[NDArray[np.int64]], correlation: float) -> Array:
