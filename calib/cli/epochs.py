@@ -51,17 +51,19 @@ def epochs(
         job.refuse_unknown_keys()
     origin = provenance([path for job in read for path in sources(job, problem_file)], typed())
     content = report.content(comparisons, level, origin)
+    written: tuple[Path, ...] = ()
+    if output.folder is not None:     # before any text: a reader of a pipe may have gone
+        written = (
+            files.write_json(output.path("epochs.json"), content),
+            files.write_csv(output.path("shifts.csv"), report.COLUMNS, list(report.lines(comparisons))),
+            report.write(comparisons, level, origin, output.path("report.html")),
+        )
     output.result(content)
     for one in comparisons:
         output.say(f"{one.names[0]} to {one.names[1]}: {len(one.found.points)} points compared")
         for sentence in report.sentences(one):
             output.prose(sentence, "  ")
         output.say()
-    if output.folder is not None:
-        output.wrote(
-            files.write_json(output.path("epochs.json"), content),
-            files.write_csv(output.path("shifts.csv"), report.COLUMNS, list(report.lines(comparisons))),
-            report.write(comparisons, level, origin, output.path("report.html")),
-        )
+    output.wrote(*written)
     certified = all(e.certificate.passed and e.converged for one in comparisons for e in one.estimates)
     return DONE if certified else FAILED

@@ -69,6 +69,17 @@ def montecarlo(
         "stability": None if found.stability is None else {"digits": digits, "reached": found.stability.reached},
         "provenance": origin.content(),
     }
+    written: tuple[Path, ...] = ()
+    if output.folder is not None:     # before any text: a reader of a pipe may have gone
+        packed = io.BytesIO()
+        scale = [units.factor(unit) for unit in found.units]
+        names, its_units = np.array(found.names), np.array(found.units)
+        np.savez_compressed(packed, samples=found.samples / scale, names=names, units=its_units)
+        written = (
+            files.write_json(output.path("montecarlo.json"), content),
+            files.write_bytes(output.path("samples.npz"), packed.getvalue()),
+            report.write(solution, found, rows, origin, output.path("report.html")),
+        )
     output.result(content)
     output.say(f"{solution.problem.name}: {content['trials']} trials, seed {seed}, {found.failures} did not converge; "
                "shortest 95% intervals\n")
@@ -76,23 +87,16 @@ def montecarlo(
     for row in rows:
         mean, u = numbers.with_uncertainty(row["mean"], row["u"])
         low, high = (numbers.with_uncertainty(end, row["u"])[0] for end in row["interval_shortest"])
-        output.say(f"  {row['name']:<{width}}  {mean}, u = {u}, [{low}, {high}] {row['unit']}; linear result: "
-                   f"{row['verdict']}")
+        spread = f"u = {u}, [{low}, {high}] {row['unit']}; linear result: {row['verdict']}" if u else \
+            f"{row['unit']}, the same in all trials"
+        output.say(f"  {row['name']:<{width}}  {mean}{',' if u else ''} {spread}")
     if found.stability is not None and not found.stability.reached:
         output.say()
         output.prose(f"{content['trials']} trials are not enough for {digits} digit(s) of every u; allow more with "
                      "--trials, or ask for fewer.")
-    if output.folder is not None:
-        packed = io.BytesIO()
-        scale = [units.factor(unit) for unit in found.units]
-        names, its_units = np.array(found.names), np.array(found.units)
-        np.savez_compressed(packed, samples=found.samples / scale, names=names, units=its_units)
+    if written:
         output.say()
-        output.wrote(
-            files.write_json(output.path("montecarlo.json"), content),
-            files.write_bytes(output.path("samples.npz"), packed.getvalue()),
-            report.write(solution, found, rows, origin, output.path("report.html")),
-        )
+        output.wrote(*written)
     passed = solution.estimate.certificate.passed and solution.estimate.converged and found.failures == 0
     return DONE if passed else FAILED
 

@@ -94,17 +94,10 @@ def solve(
         from calib.report.certificate.write import write as certify
 
         certify(solution, origin, certificate)
-    output.result(content)
-    say(output, solution)
-    for line in compared:
-        output.say(f"E_n of {line.quantity} = {numbers.plain(line.normalised, 3)}: "
-                   f"{'compatible' if line.compatible else 'NOT compatible'} with {against}")
-    if remark:
-        output.prose(remark)
-    if output.folder is not None:
+    written: tuple[Path, ...] = ()
+    if output.folder is not None:     # before any text: a reader of a pipe may have gone
         identified = module.identified_files(read, solution.estimate) if hasattr(module, "identified_files") else {}
-        output.say()
-        output.wrote(
+        written = (
             files.write_json(output.path("result.json"), content),
             observations.write(solution, output.path("observations.csv")),
             budget.write(solution, output.path("budget.csv")),
@@ -113,6 +106,16 @@ def solve(
               for name, lines in solution.tables.items() if lines),
             *(files.write_text(output.path(name), text) for name, text in identified.items()),
         )
+    output.result(content)
+    say(output, solution)
+    for line in compared:
+        output.say(f"E_n of {line.quantity} = {numbers.plain(line.normalised, 3)}: "
+                   f"{'compatible' if line.compatible else 'NOT compatible'} with {against}")
+    if remark:
+        output.prose(remark)
+    if written:
+        output.say()
+        output.wrote(*written)
     if certificate is not None:
         output.say(f"certificate written: {certificate}")
     estimate = solution.estimate
