@@ -161,6 +161,8 @@ def _fitted(ranges: Ranges, count: int, dim: int, stated: float) -> Array:
             completions = _completions(tried, count)
         size = dim + (attempt // len(completions)) % 3
         start = _classical(completions[attempt % len(completions)], min(size, count - 1))
+        if attempt == 0 and (direct := _of_two_sets(tried, count)) is not None and dim == 3:
+            start = direct
         if attempt >= 3 * len(completions):
             spread = start.std() if attempt % 2 else float(tried.lengths.mean())
             start = start + generator.normal(scale=0.3 * spread, size=start.shape)
@@ -206,6 +208,47 @@ def _classical(distances: Array, dim: int) -> Array:
     centring = np.eye(n) - 1.0 / n
     values, axes = np.linalg.eigh(-0.5 * centring @ distances**2 @ centring)
     return np.asarray(axes[:, -dim:] * np.sqrt(np.maximum(values[-dim:], 0.0)))
+
+
+def _of_two_sets(ranges: Ranges, count: int) -> Array | None:
+    """Places (count, 3) where every place of one set is read from every place of another, and from none of its own;
+    None where that is not so or the readings are too few for it.
+
+    The doubly centred squares have rank three; their factors are the places but for one linear map, which follows from
+    the ranges of the first place of the smaller set. Source: Crocco, Del Bue, Murino (2012), IEEE Transactions on
+    Signal Processing 60(2).
+    """
+    ends = [np.unique(ranges.i), np.unique(ranges.j)]
+    whole = len(ends[0]) * len(ends[1]) == len(ranges.read) and len(ends[0]) + len(ends[1]) == count
+    if np.intersect1d(*ends).size or not whole:
+        return None
+    few, many = sorted(ends, key=len)
+    if len(few) < 4 or len(many) < 10:
+        return None
+    square = np.full((count, count), np.nan)
+    square[ranges.i, ranges.j] = square[ranges.j, ranges.i] = ranges.lengths**2
+    squares = square[np.ix_(few, many)]
+    if not np.isfinite(squares).all():
+        return None
+    left, sizes, right = np.linalg.svd(-0.5 * (squares[1:, 1:] - squares[1:, :1] - squares[:1, 1:] + squares[0, 0]))
+    x, y = left[:, :3] * np.sqrt(sizes[:3]), right[:3].T * np.sqrt(sizes[:3])
+    # |p|^2 = (y + v)' G (y + v) from the first of the few, less that of the first of the many: linear in G and G v.
+    pairs = [(a, b) for a in range(3) for b in range(a + 1)]
+    rows = np.column_stack([*(y[:, a] * y[:, b] * (1.0 if a == b else 2.0) for a, b in pairs), 2.0 * y])
+    found = np.linalg.lstsq(rows, squares[0, 1:] - squares[0, 0], rcond=None)[0]
+    metric = np.zeros((3, 3))
+    for (a, b), value in zip(pairs, found[:6], strict=True):
+        metric[a, b] = metric[b, a] = value
+    values, axes = np.linalg.eigh(metric)
+    if not np.isfinite(found).all() or values[-1] <= 0.0:
+        return None
+    values = np.maximum(values, 1e-6 * values[-1])      # errors of the ranges may leave no metric
+    root = (axes * np.sqrt(values)).T
+    shift = np.linalg.solve((axes * values) @ axes.T, found[6:])
+    place = np.zeros((count, 3))
+    place[many] = (np.vstack([np.zeros(3), y]) + shift) @ root.T
+    place[few[1:]] = x @ np.linalg.inv(root)
+    return place
 
 
 def _descended(place: Array, ranges: Ranges) -> tuple[Array, Ranges]:
