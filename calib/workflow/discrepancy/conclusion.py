@@ -21,7 +21,7 @@ from calib.workflow.discrepancy.noise import BARELY, NoiseTest, size_test
 from calib.workflow.discrepancy.readings import Reading, readings_at, without
 from calib.workflow.discrepancy.rivals import Noise
 from calib.workflow.discrepancy.scene import Scene
-from calib.workflow.discrepancy.search import Finding
+from calib.workflow.discrepancy.search import Finding, noise_scale
 from calib.workflow.discrepancy.structure import Place, Screen
 from calib.workflow.discrepancy.words import (
     half_told,
@@ -239,7 +239,7 @@ def _named(
     field = scene.field.without(finding.blunders)
     standing_in = aliases(field, finding.effects, values, scene.columns, scene.positive)
     effects, advice = [], []
-    widened = np.sqrt(finding.scale)
+    widened = np.sqrt(noise_scale(after.objective, after.dof))  # by the readings as they are
     for place, p in zip(finding.effects, finding.p_effects, strict=True):
         one = scene.chosen[place]
         u = np.array([p.plausible[1] for p in one.effect.parameters])  # of a part that cannot be told: what is usual
