@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from calib import Linearisation, covariance
+from calib import Linearisation, Unknown
+from calib.analyse.covariance import considered
 from calib.units import gon, mm
 
 MOST = 2000                              # points whose ellipses are computed
@@ -27,12 +28,12 @@ def result_tables(fit: Linearisation) -> dict[str, list[dict[str, Any]]]:
     free = fit.layout.free[fit.layout.span(point)].reshape(point.count, point.freedom)
     values = np.reshape(fit.values[point], (point.count, point.freedom))
     factor = float(np.sqrt(fit.objective / fit.dof)) if fit.dof > 0 else float("nan")
-    lines = []
+    matrices, lines = covariances(fit, point), []
     for i in range(min(point.count, MOST)):
         line: dict[str, Any] = {"point": point.keys[i]}
         line |= {f"{part}_m": float(value) for part, value in zip(point.parts, values[i])}
         if free[i].any():
-            matrix = covariance(fit, point[i]).matrix / mm**2
+            matrix = matrices[i] / mm**2
             u = np.sqrt(np.diag(matrix))
             line |= {f"u_{part}_mm": float(one) for part, one, there in zip(point.parts, u, free[i]) if there}
             line |= {f"u_aposteriori_{part}_mm": float(factor * one)
@@ -41,6 +42,14 @@ def result_tables(fit: Linearisation) -> dict[str, list[dict[str, Any]]]:
         lines.append(line)
     columns = list(dict.fromkeys(name for line in lines for name in line))
     return {"points": [{name: line.get(name) for name in columns} for line in lines]}
+
+
+def covariances(fit: Linearisation, unknown: Unknown) -> np.ndarray:
+    """Covariance (count, dim, dim) of every instance of an unknown, held quantities of stated uncertainty included."""
+    columns = fit.layout.position[fit.layout.span(unknown)].reshape(unknown.count, -1)
+    held = considered(fit)
+    response = np.where((columns >= 0)[:, :, None], held.response[np.maximum(columns, 0)], 0.0)
+    return np.asarray(fit.factor.between(columns, columns) + response @ held.covariance @ response.transpose(0, 2, 1))
 
 
 def _figures(matrix: np.ndarray, free: str, parts: tuple[str, ...]) -> dict[str, float]:

@@ -220,7 +220,7 @@ def _of_two_sets(ranges: Ranges, count: int) -> Array | None:
     """
     ends = [np.unique(ranges.i), np.unique(ranges.j)]
     whole = len(ends[0]) * len(ends[1]) == len(ranges.read) and len(ends[0]) + len(ends[1]) == count
-    if np.intersect1d(*ends).size or not whole:
+    if np.isin(ends[0], ends[1]).any() or not whole:
         return None
     few, many = sorted(ends, key=len)
     if len(few) < 4 or len(many) < 10:
