@@ -47,9 +47,12 @@ def result_tables(fit: Linearisation) -> dict[str, list[dict[str, Any]]]:
 def covariances(fit: Linearisation, unknown: Unknown) -> np.ndarray:
     """Covariance (count, dim, dim) of every instance of an unknown, held quantities of stated uncertainty included."""
     columns = fit.layout.position[fit.layout.span(unknown)].reshape(unknown.count, -1)
-    held = considered(fit)
-    response = np.where((columns >= 0)[:, :, None], held.response[np.maximum(columns, 0)], 0.0)
-    return np.asarray(fit.factor.between(columns, columns) + response @ held.covariance @ response.transpose(0, 2, 1))
+    held, moving = considered(fit), (columns >= 0).any(axis=1)
+    free = columns[moving]
+    response = np.where((free >= 0)[:, :, None], held.response[np.maximum(free, 0)], 0.0)
+    found = np.zeros((*columns.shape, columns.shape[1]))
+    found[moving] = fit.factor.between(free, free) + response @ held.covariance @ response.transpose(0, 2, 1)
+    return found
 
 
 def _figures(matrix: np.ndarray, free: str, parts: tuple[str, ...]) -> dict[str, float]:
