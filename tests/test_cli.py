@@ -51,7 +51,8 @@ def test_solve_writes_result_observations_and_report(calib, job, tmp_path):
     assert len(content["provenance"]["data_sha256"]) == 64
     with (tmp_path / "out" / "observations.csv").open() as stream:
         rows = list(csv.DictReader(stream))
-    assert tuple(rows[0]) == COLUMNS
+    assert tuple(rows[0])[: len(COLUMNS)] == COLUMNS
+    assert all(name.startswith("influence_") for name in tuple(rows[0])[len(COLUMNS) :])
     assert len(rows) == sum(1 for line in (job.parent / "level.csv").read_text().splitlines() if line[0] != "#") - 1
     assert sum(float(row["redundancy"]) for row in rows) == pytest.approx(content["dof"], abs=1e-8)
     for row in rows:

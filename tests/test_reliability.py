@@ -5,6 +5,9 @@ import pytest
 from declared import line, network
 
 from calib import Observations, Problem, Quantity, Unknown, linearise, reliability, solve
+from calib.analyse.influence import influence
+from calib.analyse.multiplicity import holm
+from problems.network import example
 
 
 def test_a_mean_of_n_readings_has_redundancy_one_less_one_nth():
@@ -54,3 +57,25 @@ def test_the_w_test_rejects_at_its_level_when_nothing_is_wrong():
         estimate = solve(problem.with_readings({"line": generator.normal(0, 0.1, 5)}))
         rejected += int(np.sum(reliability(linearise(estimate)).p_value < 0.05))
     assert rejected / 2000 == pytest.approx(0.05, abs=0.02)
+
+
+def test_the_influence_on_points_is_what_a_bias_of_that_size_really_does():
+    problem = example(seed=3)
+    estimate = solve(problem)
+    tests = reliability(estimate.fit)
+    found = influence(estimate.fit, tests)
+    point = next(u for u in problem.unknowns if u.name == "point")
+    controlled = np.flatnonzero(tests.redundancy > 0.05)
+    for i in controlled[[0, len(controlled) // 2, -1]]:
+        group, row = str(tests.group[i]), int(tests.row[i])
+        readings = {o.group: np.array(o.readings) for o in problem.observations}
+        readings[group][row - 1] += 1e-3 * tests.mdb[i]      # small: the influence is linear
+        moved = np.asarray(solve(problem.with_readings(readings), start=estimate)[point]) - np.asarray(estimate[point])
+        lengths = 1e3 * np.linalg.norm(moved, axis=1)
+        assert found.point[i] == point.keys[int(np.argmax(lengths))]
+        assert found.shift[i] == pytest.approx(lengths.max(), rel=1e-4)
+
+
+def test_probabilities_of_many_tests_are_those_of_holm():
+    assert holm(np.array([0.04, 0.01, 0.03])) == pytest.approx([0.06, 0.03, 0.06])
+    assert holm(np.array([0.9, 0.8])) == pytest.approx([1.0, 1.0])

@@ -2,8 +2,7 @@
 
 Points count as one rigid figure until the test says otherwise; then the point whose leaving explains most is taken out,
 and the rest is tested again; who left too early comes back. Nothing depends on the datum of either epoch.
-Source: Pelzer (1971), Zur Analyse geodaetischer Deformationsmessungen; Niemeier (2008), Ausgleichungsrechnung, 13.3;
-Holm (1979), Scandinavian Journal of Statistics 6, for many points at a time.
+Source: Pelzer (1971), Zur Analyse geodaetischer Deformationsmessungen; Niemeier (2008), Ausgleichungsrechnung, 13.3.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, chndtrinc, fdtrc
 
+from calib.analyse.multiplicity import holm
 from calib.blocks import Array
 
 ROUNDING = 1e-13    # what rounding leaves of a variance that is zero, beside the largest
@@ -184,11 +184,7 @@ def _described(
         whole[np.ix_(columns, columns)] = matrix[np.ix_(own, own)]
         covariances.append(whole)
         p[i], detectable[i] = _alone(shifts, [other for other in stable if other != key], own, level / len(keys))
-    order = np.argsort(p)
-    stepwise = np.maximum.accumulate(p[order] * (len(p) - np.arange(len(p))))
-    adjusted = np.empty_like(p)
-    adjusted[order] = np.minimum(stepwise, 1.0)
-    return Congruence(tuple(keys), parts, place, u, tuple(covariances), p, adjusted, detectable, tuple(stable), moved,
+    return Congruence(tuple(keys), parts, place, u, tuple(covariances), p, holm(p), detectable, tuple(stable), moved,
                       steps, level, settled, block)
 
 

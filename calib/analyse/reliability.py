@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,17 +91,18 @@ class Reliability:
         return self.group == group
 
 
-def reliability(fit: Linearisation, level: float = 0.001, power: float = 0.8) -> Reliability:
+def reliability(fit: Linearisation, level: float = 0.001, power: float = 0.8, *of: Any) -> Reliability:
     """Redundancy, test and detectability of every scalar reading.
 
-    fit: a linearisation; level: of the w-test for the minimal detectable bias; power: of detecting it.
+    fit: a linearisation; level: of the w-test for the minimal detectable bias; power: of detecting it; of: results
+    whose influence is wanted (all quantities if not given).
     Returns a Reliability.
     Source: Baarda (1968), A testing procedure for use in geodetic networks; correlated readings: Wang and Chen (1994).
     """
     from scipy.special import erfc
 
     bias = NormalDist().inv_cdf(1 - level / 2) + NormalDist().inv_cdf(power)
-    functions = fit.functions() if fit.results else None
+    functions = fit.functions(*of) if of or fit.results else None
     through, labels = None, functions.labels if functions is not None else ()
     if functions is not None and labels:
         through = np.zeros((len(labels), fit.layout.size))

@@ -9,6 +9,7 @@ import numpy as np
 
 from calib import files, units
 from calib.analyse.covariance import Covariance
+from calib.analyse.multiplicity import holm
 from calib.analyse.reliability import Reliability
 from calib.report import robust
 from calib.report.provenance import Provenance
@@ -64,6 +65,7 @@ def reliability_rows(reliability: Reliability) -> Iterator[dict[str, Any]]:
     reliability: of a linearisation.
     return: dictionaries with the columns of observations.csv.
     """
+    of_all = holm(reliability.p_value)
     for i in range(len(reliability)):
         unit = str(reliability.unit[i])
         scale = units.factor(unit)
@@ -73,7 +75,7 @@ def reliability_rows(reliability: Reliability) -> Iterator[dict[str, Any]]:
             "reading": reliability.reading[i] / scale, "predicted": reliability.predicted[i] / scale,
             "residual": reliability.residual[i] / scale, "unit": unit, "u": reliability.u[i] / scale,
             "w": reliability.w[i], "redundancy": reliability.redundancy[i], "mdb": reliability.mdb[i] / scale,
-            "p_value": reliability.p_value[i],
+            "p_value": reliability.p_value[i], "p_value_of_all": of_all[i],
         }
 
 
