@@ -101,7 +101,7 @@ def _judged(
     if best.noise.kind != STATED and best.finding is not finding and not noise:
         # Something was significant, and this noise accounts for it better than any effect.
         noise = (NoiseTest(best.noise.kind, best.noise.where, best.noise.correlation, level),)
-    if noise or best.noise.kind != STATED:
+    if noise or best.noise.kind != STATED or len(best.finding.blunders) > 1:
         best = replace(best, structure=best.structure or shapeless(scene, best))
     verdict = _verdict(best, named, outliers, noise)
     judged = Judgement(verdict, best.finding, named, outliers, best.structure, noise, best.noise)

@@ -23,7 +23,7 @@ LISTED = 6
 LEVEL = "level"  # the shape of a disagreement that is constant for each value of a covariate
 SHAPES = {LEVEL: "a constant for each", "trend": "a trend over", "curve": "a curve over", "cubic": "a cubic over",
           "smooth": "a smooth function of", "fine": "a fine function of", "pieces": "steps over",
-          RUN: "something without a simple shape that runs on over"}
+          "pulse": "a pulse over", RUN: "something without a simple shape that runs on over"}
 INFLUENCES = {"time": "time (drifts)", "temperature_difference": "temperature (thermal effects)",
               "block": "block (steps between set-ups)"}  # what any reading may be recorded with, and what it shows
 FEW_SPARE = 5  # degrees of freedom below which hardly anything can be found
