@@ -266,7 +266,6 @@ class Screen:
         left = self.field.dof - self.dofs
         scale = np.where(left > 0, np.maximum(1.0, (self.field.squares - drops) / np.maximum(left, 1)), 1.0)
         p = corrected_each(tails(drops, self.dofs, scale, left), self.each)
-        p = np.where(self.dofs <= left, p, 1.0)  # what takes most of the redundancy describes nothing
         return p, drops / scale - self.dofs * np.log(max(self.field.dof, 2))
 
     def places(self) -> list[Place]:
@@ -319,7 +318,8 @@ def _sheet(field: Field, shapes: Sequence[Pattern]) -> tuple[_Sheet, list[Patter
             seen = value > 1e-6
             if seen.any():
                 kept[int(i)] = together[:, starts[i]:starts[i + 1]] @ (vector[:, seen] / np.sqrt(value[seen]))
-    order = sorted(kept)
+    spare = field.redundancy[places].sum()  # what takes most of it describes nothing
+    order = sorted(i for i, root in kept.items() if 2 * root.shape[1] <= spare)
     roots = np.concatenate([kept[i] for i in order], axis=1) if order else np.zeros((len(places), 0))
     return _Sheet(places, roots, np.cumsum([kept[i].shape[1] for i in order], dtype=int)), [shapes[i] for i in order]
 
