@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from command import runner
 from scipy.special import chdtrc, fdtrc
+from test_network_stations import workshop
 
 from calib import simulate
 from calib.analyse import congruence as shared
@@ -144,6 +145,43 @@ def test_false_alarms_come_at_their_level_and_movements_are_found_as_often_as_pr
     found = sum("3" in congruence(epoch(3000 + s, {}), epoch(5000 + s, {"3": (far, 0.0)}), level).moved
                 for s in range(30))
     assert found >= 18     # of 30 with 0.8: 24, and fewer than 18 with a probability of 0.003
+
+
+@pytest.mark.slow
+def test_targets_of_trackers_are_compared_whatever_frame_the_trackers_had():
+    plan = workshop(seed=1)
+
+    def measured(seed: int, moved: dict[str, list[float]]) -> Survey:
+        points = {k: replace(p, position=tuple(np.add(p.position, moved.get(k, 0.0)))) for k, p in plan.points.items()}
+        drawn = simulate(network.declare(replace(plan, points=points)), None, seed)
+        readings = {o.group: np.array(o.readings) for o in drawn.observations}
+        return replace(plan, batches=[replace(plan.batches[0], readings=readings["bar"])],
+                       sightings=[replace(plan.sightings[0], readings=readings["tracker"])],
+                       ranging=[replace(plan.ranging[0], readings=readings["ranges"][:, 0])])
+
+    found = congruence(measured(5, {}), measured(6, {"T3": [0.1 * mm, 0.0, 0.0]}))
+    assert found.steps[0].dof == 3 * 14 - 6
+    assert found.moved == ("T3",)
+    assert abs(found.shift[3, 0] - 0.1 * mm) < 4 * found.u[3, 0]
+
+
+@pytest.mark.slow
+def test_a_job_with_a_column_of_epochs_is_compared_within_itself(tmp_path, capsys):
+    calib = runner(capsys)
+    for name, values in (("all", "ab"), ("one", "a")):
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / "job.toml").write_text('problem = "problems.network"\n[data.height_differences]\nfile = "dh.csv"\n')
+        rows = [f"{s},{t},{h + (5e-3 if (e, t) == ('b', 'D') else 0.0):.4f},1,{e}" for e in values
+                for s, t, h in (("A", "B", 1.0), ("B", "C", 0.5), ("C", "D", 0.2), ("A", "C", 1.5), ("B", "D", 0.7))]
+        (folder / "dh.csv").write_text("\n".join(["station,target,reading_m,u_mm,epoch", *rows]) + "\n")
+    answer = calib("epochs", tmp_path / "all" / "job.toml", "--json")
+    assert answer.status == 0, answer.error
+    (one,) = json.loads(answer.out)["comparisons"]
+    assert (one["first"], one["second"], one["moved"]) == ("a", "b", ["D"])
+    assert one["points"][3]["dz_mm"] == pytest.approx(5.0, abs=1e-6)
+    both = calib("epochs", tmp_path / "all" / "job.toml", tmp_path / "one" / "job.toml")
+    assert (both.status, "holds several epochs" in both.error) == (2, True)
 
 
 @pytest.mark.slow

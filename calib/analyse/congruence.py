@@ -103,7 +103,7 @@ class Congruence:
                     "stand still would tell."]
         said = [
             f"Point '{key}' moved by " + ", ".join(
-                f"{part} {1e3 * s:+.2f} mm (u {1e3 * u:.2f})" for part, s, u in
+                f"{part} {1e3 * s:+.{_decimals(u)}f} mm (u {1e3 * u:.{_decimals(u)}f})" for part, s, u in
                 zip(self.parts, self.shift[self.points.index(key)], self.u[self.points.index(key)], strict=True)
                 if np.isfinite(s)) + "."
             for key in self.moved
@@ -112,6 +112,11 @@ class Congruence:
             names = ", ".join(f"'{key}'" for key in self.moved)
             said.append(f"{names} keep their figure among themselves: they moved as a block, or all the others did.")
         return said
+
+
+def _decimals(u: float) -> int:
+    """Decimals [mm] of two digits of u [m], two at least."""
+    return 2 if not u > 0 else max(2, 1 - int(np.floor(np.log10(1e3 * u))))
 
 
 def congruence(shifts: Shifts, level: float = 0.01) -> Congruence:

@@ -49,7 +49,8 @@ def epochs_of(jobs: Sequence[Job], module: ModuleType) -> list[tuple[str, Job]]:
     """(name, job) of every epoch: the jobs themselves, or those that one job with a column `epoch` holds.
 
     jobs: as read; module: their problem module.
-    Raises InputError where there are fewer than two, or a job has knowledge that only `calib solve` takes.
+    Raises InputError where there are fewer than two, a job among others holds several, or it has knowledge that only
+    `calib solve` takes.
     """
     for job in jobs:
         if job.priors:
@@ -57,6 +58,9 @@ def epochs_of(jobs: Sequence[Job], module: ModuleType) -> list[tuple[str, Job]]:
     found = [(job.path.stem, job) for job in jobs]
     if len(jobs) == 1:
         found = list(module.by_epoch(jobs[0]))
+    several = [job for job in jobs if len(jobs) > 1 and len(list(module.by_epoch(job))) > 1]
+    if several:
+        raise InputError(f"{several[0].path}: holds several epochs in its column 'epoch'; name it alone")
     if len({name for name, _ in found}) < len(found):
         found = [(f"{i} {name}", job) for i, (name, job) in enumerate(found, start=1)]
     if len(found) < 2:
