@@ -13,8 +13,8 @@ from calib.workflow.discrepancy.rivals import HEAVY, LARGE, SCALED, SERIAL, STAT
 from calib.workflow.discrepancy.scene import Scene
 from calib.workflow.discrepancy.search import Finding, Shares, noise_scale, search
 from calib.workflow.discrepancy.structure import MOST, RUN, Place, Screen, described
+from calib.workflow.discrepancy.subsets import BLUNDER
 
-RARE = 6.0  # what a blunder costs beside its choice: it may be anywhere within 25 u to either side
 ADVANTAGE = 6.0  # by which peculiar noise must beat plain noise, and a structure without a name a named effect
 PULSE = 3  # neighbours wrong to the same side: of 3 blunders among 30 readings, one time in 600
 ODD = 8.0  # what it costs to assume noise that is not as stated beside something else: two causes where one may do
@@ -93,7 +93,7 @@ def price_of(scene: Scene, finding: Finding) -> float:
     candidates = max(len(scene.chosen), 1)
     both = ADVANTAGE if finding.effects and finding.blunders else 0.0
     return float(taken * log_dof + 2 * len(finding.effects) * np.log(candidates) + both
-                 + 2 * _ways(len(scene.readings), len(finding.blunders)) + len(finding.blunders) * (RARE - log_dof))
+                 + 2 * _ways(len(scene.readings), len(finding.blunders)) + len(finding.blunders) * (BLUNDER - log_dof))
 
 
 def _ways(n: int, k: int) -> float:

@@ -14,6 +14,7 @@ from calib.analyse.score import Field, orthonormal
 from calib.blocks import Array
 
 PARAMETER = 4.0  # what a parameter costs: of two effects that explain the readings alike, the simpler one is named
+BLUNDER = 6.0  # what a blunder costs beside its choice: it may be anywhere within 25 u to either side
 SAME = 1e-4  # squared share of a direction outside the others, below which it is theirs (it would be a hundredfold)
 TRACE = 1e-9  # that keeps a matrix regular
 
@@ -144,4 +145,4 @@ class Subsets:
         left, taken, allowed = self.products(blunders).judge(sets)
         choices = np.array([len(one) for one in sets]) * np.log(self.looks + 1)
         choices += len(blunders) * np.log(max(len(self.readings), 1))
-        return np.where(allowed, left / scale + PARAMETER * (taken + len(blunders)) + 2 * choices, np.inf)
+        return np.where(allowed, left / scale + PARAMETER * taken + BLUNDER * len(blunders) + 2 * choices, np.inf)
