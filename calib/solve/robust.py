@@ -23,6 +23,8 @@ from calib.solve.estimate import Estimate, solve
 from calib.solve.loss import Huber
 from calib.unknown import Unknown
 
+TOGETHER = 50  # instances whose covariances are computed at a time
+
 
 class SandwichFactor:
     """A^-1 B A^-1 in the place of a covariance: A the slope of all pulls, B their mean square.
@@ -50,14 +52,18 @@ class SandwichFactor:
 
     def between(self, first: Index, second: Index) -> Array:
         """Covariances (m, f, g) of free columns first (m, f) with second (m, g); -1 stands for a held column."""
-        found = np.zeros((*first.shape, second.shape[1]))
-        for i, (a, b) in enumerate(zip(first, second, strict=True)):
-            columns = np.concatenate([a, b])
-            unit = np.zeros((len(columns), self._spread.shape[1]))
-            there = np.flatnonzero(columns >= 0)
-            unit[there, columns[there]] = 1.0
-            found[i] = self.covariance(unit)[: len(a), len(a) :]
+        found = np.empty((*first.shape, second.shape[1]))
+        for begin in range(0, len(first), TOGETHER):
+            a, b = (self._mapped(columns[begin : begin + TOGETHER]) for columns in (first, second))
+            found[begin : begin + TOGETHER] = np.einsum("nmf,nmg->mfg", a, b)
         return found
+
+    def _mapped(self, columns: Index) -> Array:
+        """Rows (N, m, f) whose products are the covariances of free columns (m, f); zero for a held one."""
+        unit = np.zeros((columns.size, self._spread.shape[1]))
+        there = np.flatnonzero(columns.ravel() >= 0)
+        unit[there, columns.ravel()[there]] = 1.0
+        return np.asarray(self._spread @ self._slope.solve(unit.T)).reshape(-1, *columns.shape)
 
 
 @dataclass(frozen=True)
