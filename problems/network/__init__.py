@@ -34,6 +34,7 @@ from problems.network.tolerance import tolerable
 
 accepts = ("problems.network", "network", ".gkf")
 named_by_key = ("point",)
+REST = {"lacking", "unreadable", "duplicated"}    # without which a .gkf is read as it stands or not at all
 BLUNDER = 0.05    # of v'Pv may be left where the worst reading is taken out
 source = "GNU Gama manual; Baarda (1968), reliability; Meissl (1962), free networks"
 
@@ -52,7 +53,7 @@ def _surveyed(job: Job) -> Survey:
     file = job.path.name if job.path.suffix == ".gkf" else job.options.text("network", "")
     allowed = _allowed(job) if job.path.suffix != ".gkf" else set()
     if file:
-        return tolerable(reduced(read_gkf(job.path.parent / file, strict="lacking" not in allowed), allowed))
+        return tolerable(reduced(read_gkf(job.path.parent / file, strict=not allowed & REST), allowed))
     return reduced(read_tables(job, allowed), allowed)
 
 
