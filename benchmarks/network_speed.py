@@ -239,7 +239,8 @@ def main() -> None:
         return
     header = ("stations x points", "readings", "by", "solve [s]", "covariance [s]", "redundancy [s]",
               "all: times limit", "memory: peak [MB]", "over imports", "over problem", "Ceres solve [s]",
-              "Ceres covariance [s]", "solve: part of Ceres", "all: part of Ceres", "points differ [nm]", "covariance differs")
+              "Ceres covariance [s]", "solve: part of Ceres", "all: part of Ceres", "points differ [nm]",
+              "covariance differs")
     print(f"| {' | '.join(header)} |\n|{' --- |' * len(header)}")
     sizes: dict[str, list[tuple[float, float]]] = {}
     more: list[str] = []

@@ -8,9 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.blocks import Array
-from calib.compiled import LEVERAGES, SUMS, Shape, fused_rows, parts_of, run_side_by_side
+from calib.blocks import Array, Index
+from calib.compiled import LEVERAGES, SUMS, VALUES, Shape, fused_rows, parts_of, run_side_by_side
 from calib.pattern import Raw, Source, Stream
+from calib.rows import Program
 
 
 @dataclass
@@ -36,14 +37,18 @@ class Sums:
                 np.add.at(self.outer, (columns.transpose(0, 2, 1), rows.transpose(0, 2, 1)), total.transpose(0, 2, 1))
 
 
+def _kinds(feeds: Sequence[tuple[Array, Index | None]]) -> tuple[tuple[str, int], ...]:
+    """Kind and width of each argument."""
+    return tuple(("indexed" if index is not None else "shared" if len(numbers) == 1 else "own", numbers.shape[1])
+                 for numbers, index in feeds)
+
+
 def _shape(source: Source, stream: Stream) -> Shape | None:
     """What a compiled loop over a stream is written for; None where it does not pay or cannot be."""
     raw, mixing = source.raw, source.whitening[stream.mixing]
     if raw is None or mixing.matrix.ndim != 2 or not np.array_equal(mixing.rows[:, 0], np.arange(len(raw.readings))):
         return None
-    kinds = tuple(("indexed" if index is not None else "shared" if len(numbers) == 1 else "own", numbers.shape[1])
-                  for numbers, index in raw.feeds)
-    return Shape(raw.program.instructions, kinds, raw.readings.shape[1], raw.periods, raw.given,
+    return Shape(raw.program.instructions, _kinds(raw.feeds), raw.readings.shape[1], raw.periods, raw.given,
                  tuple(c.shape[1] for c in source.columns), tuple(a for _, a in stream.inside),
                  tuple(a for _, a in stream.outside), tuple((p.first, p.second) for p in stream.pairs))
 
@@ -107,7 +112,21 @@ def leverages_compiled(source: Source, streams: Sequence[Stream], half: Array, i
         def run(share: tuple[int, int], loop=loop, weights=weights, stream=stream, totals=totals) -> None:
             loop(share[1] - share[0], stream.places.shape[1], coupling.shape[1], {
                 **_rows(raw, weights, stream, *share), "inner": inner, "coupling": coupling, "totals": totals,
-                "half": half, "leverage": found})
+                "half": half, "found": found})
 
         run_side_by_side(run, list(pairwise(parts_of(len(stream.blocks), len(raw.program), stream.owner))))
+    return found
+
+
+def predicted_compiled(program: Program, feeds: Sequence[tuple[Array, Index | None]], n: int) -> Array:
+    """Outputs (n, dim) of a program by a compiled loop that gathers by itself; feeds: as of Raw."""
+    found, rows = np.empty((n, program.outputs)), np.arange(n)
+    shape = Shape(program.instructions, _kinds(feeds), program.outputs, (None,) * program.outputs, True, (), (), (), ())
+    loop = fused_rows(shape, VALUES)
+
+    def run(share: tuple[int, int]) -> None:
+        loop(share[1] - share[0], 0, 0, {"blocks": rows[slice(*share)], "bases": [f[0] for f in feeds],
+                                         "indices": [f[1] for f in feeds], "found": found})
+
+    run_side_by_side(run, list(pairwise(parts_of(n, len(program), rows[:0]))))
     return found

@@ -128,17 +128,18 @@ class Coupling:
         found[wrong] = np.minimum(np.searchsorted(self._keys, wanted[wrong]), len(self._keys) - 1)
         return np.where(self._keys[found] == wanted, found, -1)
 
-    def square(self) -> Array:
-        """Its transpose times the matrix: (S, S)."""
-        total = np.zeros((self.others, self.others))
+    def squared(self, left: Array) -> tuple[Array, Array]:
+        """Its transpose times the matrix (S, S), and times (m, f): (S,)."""
+        total, right = np.zeros((self.others, self.others)), np.zeros(self.others)
         if self._thin and self._compiled:
-            room = np.empty((len(self.values), self.others))
-            self._run(sparse.square, 0, len(self.first) - 1, self.others, matrix=self._matrices, out=total, more=room)
-            return total + np.tril(total, -1).T
-        for _, _, piece in self.pieces():
+            self._run(sparse.square, 0, len(self.first) - 1, self.others, matrix=self._matrices, out=total,
+                      room=np.empty((len(self.values), self.others)))
+            return total + np.tril(total, -1).T, self.transposed_times(left[:, :, None])[:, 0]
+        for begin, end, piece in self.pieces():
             flat = piece.reshape(len(piece) * piece.shape[1], self.others)
             total += flat.T @ flat
-        return total
+            right += flat.T @ left[begin:end].T.ravel()
+        return total, right
 
     def times(self, right: Array) -> Array:
         """Times (S, k): (m, f, k)."""
@@ -179,7 +180,7 @@ class Coupling:
         values[:, -1] = 0.0
         if self._thin and self._compiled:
             self._run(sparse.within, 0, m, values.shape[1], matrix=self._matrices, out=values, more=squares,
-                      symmetric=np.ascontiguousarray(symmetric))
+                      symmetric=np.ascontiguousarray(symmetric), room=np.empty((f, self.others)))
             return Coupling(self.first, self.columns, values, self.others), squares
         for begin, end, piece in self.pieces():
             inside, places = slice(self.first[begin], self.first[end]), self._places(begin, end)

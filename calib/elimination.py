@@ -45,9 +45,9 @@ class EliminatedFactor:
         self._weak = {i: axes / narrow[i][:, None] for i, axes in self._weak.items()}
         self._coupled = equations.coupling.mapped(self._half)
         self._inner_target = np.einsum("mfg,mg->mf", self._half, equations.pull_inner)
-        normal = equations.outer + np.diag(springs[pattern.outer]) - self._coupled.square()
-        target = equations.pull_outer - self._coupled.transposed_times(self._inner_target[:, :, None])[:, 0]
-        self._finish(normal / np.outer(self._wide, self._wide), target / self._wide, conditions)
+        square, pull = self._coupled.squared(self._inner_target)
+        normal = equations.outer + np.diag(springs[pattern.outer]) - square
+        self._finish(normal / np.outer(self._wide, self._wide), (equations.pull_outer - pull) / self._wide, conditions)
 
     def _finish(self, normal: Array, target: Array, conditions: Conditions) -> None:
         basis, particular = None, np.zeros(len(self._wide))

@@ -38,6 +38,11 @@ class Layout:
         begin = self.offset[unknown]
         return slice(begin, begin + unknown.count * unknown.freedom)
 
+    def any_free(self, unknown: Unknown, index: NDArray[np.int64]) -> bool:
+        """Whether anything of the instances index (n,) is free."""
+        free: NDArray[np.bool_] = np.any(self.free[self.span(unknown)].reshape(unknown.count, unknown.freedom), axis=1)
+        return bool(free[index].any())
+
     def columns(self, unknown: Unknown, index: NDArray[np.int64]) -> NDArray[np.int64]:
         """Columns (n, freedom) of the instances index (n,)."""
         return self.offset[unknown] + index[:, None] * unknown.freedom + np.arange(unknown.freedom)

@@ -10,6 +10,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.accumulation import predicted_compiled
 from calib.blocks import Array, Block, Index, Part
 from calib.errors import CalibrationError, ModelBreakdown
 from calib.layout import Layout
@@ -43,6 +44,12 @@ class _Feed:
             return list(stored[0])
         return list(np.ascontiguousarray(stored[self.index[rows]].T))
 
+    def raw(self, values: Values) -> tuple[Array, Index | None]:
+        """As they are stored, with the instance of each row where there are several."""
+        if self.unknown is None:
+            return np.ascontiguousarray(self.data), None
+        return np.ascontiguousarray(values[self.unknown]), self.index if self.unknown.count > 1 else None
+
 
 class Term(Generic[B]):
     """One bound model in a system: its row functions and where its arguments stand among the columns."""
@@ -52,7 +59,7 @@ class Term(Generic[B]):
         self.n, self.dim = bound.n, traced.dim
         nothing = np.zeros((self.n, 0), dtype=np.int64)
         self.columns = [nothing if f.unknown is None else layout.columns(f.unknown, f.index) for f in feeds]
-        self.any_free = tuple(bool(layout.free[c].any()) for c in self.columns)
+        self.any_free = tuple(f.unknown is not None and layout.any_free(f.unknown, f.index) for f in feeds)
         self.any_unknown = tuple(f.unknown is not None for f in feeds)
 
     def _inputs(self, values: Values, rows: Rows = EVERY) -> list[Any]:
@@ -60,10 +67,12 @@ class Term(Generic[B]):
 
     def predict(self, values: Values) -> Array:
         """Predictions (n, dim)."""
-        program, found = self.traced.program((False,) * len(self.feeds)), np.empty((self.n, self.dim))
-        compiled = program.pays(self.n)
+        program = self.traced.program((False,) * len(self.feeds))
+        if program.pays(self.n):
+            return predicted_compiled(program, [f.raw(values) for f in self.feeds], self.n)
+        found = np.empty((self.n, self.dim))
         for rows in pieces(self.n, 1 / 8):  # what is gathered for all rows at once would need much memory
-            found[rows] = program.run(self._inputs(values, rows), len(rows), compiled).T
+            found[rows] = program.run(self._inputs(values, rows), len(rows), compiled=False).T
         return found
 
     def wanted(self, held_too: bool) -> tuple[bool, ...]:
@@ -84,9 +93,7 @@ class Term(Generic[B]):
         program = self.traced.program(self.wanted(held_too))
         if not program.pays(self.n):
             return None
-        feeds = tuple((np.ascontiguousarray(f.data), None) if f.unknown is None
-                      else (np.ascontiguousarray(values[f.unknown]), f.index if f.unknown.count > 1 else None)
-                      for f in self.feeds)
+        feeds = tuple(f.raw(values) for f in self.feeds)
         return Raw(program, feeds, np.ascontiguousarray(readings), given, self.periods)
 
     @cached_property
@@ -145,13 +152,10 @@ class Term(Generic[B]):
 
 
 def _excess(term: Term[Constraint], value: Array) -> tuple[Array, Array]:
-    """By how much values (n, dim) of a constraint lie over its upper and under its lower limit, in its tolerance (n
-    dim,)."""
+    """By how much values (n, dim) lie over the upper and under the lower limit, in units of the tolerance (n dim,)."""
     constraint = term.bound
-    return (
-        ((value - constraint.upper) / constraint.tolerance).ravel(),
-        ((constraint.lower - value) / constraint.tolerance).ravel(),
-    )
+    over, under = value - constraint.upper, constraint.lower - value
+    return (over / constraint.tolerance).ravel(), (under / constraint.tolerance).ravel()
 
 
 class System:
@@ -208,7 +212,11 @@ class System:
     def weightings(self, values: Values) -> list[Weighting]:
         """Row operations of every group of observations; those that depend on row quantities are taken at the
         values."""
-        return [self._weighting(term, values) for term in self.terms]
+        return [self._weighting(term, values) for term in self.terms] if self.depends else self._stated
+
+    @cached_property
+    def _stated(self) -> list[Weighting]:
+        return [self._weighting(term, {}) for term in self.terms]
 
     def _weighting(self, term: Term[Observations], values: Values) -> Weighting:
         observations = term.bound

@@ -25,15 +25,14 @@ INVISIBLE = 1e-10  # redundancy number below which a reading is not controlled b
 class Reliability:
     """Arrays over all N scalar readings, priors included, group by group and row by row.
 
-    groups: of the linearisation; redundancy: (Q_vv P)_ii in [0, 1]; w: standardised residual; p_value: of |w|,
-    two-sided; mdb: minimal detectable bias, SI, infinite where nothing controls the reading; influence: {result: (N,)}
-    change of the result by a bias of size mdb, SI (zero where the mdb is infinite).
+    groups: of the linearisation; redundancy: (Q_vv P)_ii in [0, 1]; w: standardised residual; mdb: minimal detectable
+    bias, SI, infinite where nothing controls the reading; influence: {result: (N,)} change of the result by a bias of
+    size mdb, SI (zero where the mdb is infinite).
     """
 
     groups: tuple[Group, ...]
     redundancy: Array
     w: Array
-    p_value: Array
     mdb: Array
     influence: Mapping[str, Array]
     level: float
@@ -86,6 +85,13 @@ class Reliability:
         """Standard uncertainties, SI."""
         return self._of_each(lambda g: g.weighting.u)
 
+    @cached_property
+    def p_value(self) -> Array:
+        """Of |w|, two-sided."""
+        from scipy.special import erfc
+
+        return np.asarray(erfc(np.abs(self.w) / np.sqrt(2)))
+
     def of(self, group: str) -> NDArray[np.bool_]:
         """Which readings belong to a group."""
         return self.group == group
@@ -99,8 +105,6 @@ def reliability(fit: Linearisation, level: float = 0.001, power: float = 0.8, *o
     Returns a Reliability.
     Source: Baarda (1968), A testing procedure for use in geodetic networks; correlated readings: Wang and Chen (1994).
     """
-    from scipy.special import erfc
-
     bias = NormalDist().inv_cdf(1 - level / 2) + NormalDist().inv_cdf(power)
     functions = fit.functions(*of) if of or fit.results else None
     through, labels = None, functions.labels if functions is not None else ()
@@ -117,7 +121,7 @@ def reliability(fit: Linearisation, level: float = 0.001, power: float = 0.8, *o
     mdb = np.where(controlled, bias / safe, np.inf)
     influence = {label: np.where(controlled, influences[:, k] * np.where(controlled, mdb, 0.0), 0.0)
                  for k, label in enumerate(labels)}
-    return Reliability(fit.groups, redundancy, w, erfc(np.abs(w) / np.sqrt(2)), mdb, influence, level, power)
+    return Reliability(fit.groups, redundancy, w, mdb, influence, level, power)
 
 
 def _one_after_another(arrays: Sequence[NDArray]) -> NDArray:
@@ -129,17 +133,18 @@ def _group(fit: Linearisation, number: int, through: Array | None) -> tuple[Arra
     """Redundancy, P v and the root of (P - P J C J' P)_ii of a group, all (n, dim), and what a bias of one unit changes
     (n, dim, k)."""
     group = fit.groups[number]
-    leverage = fit.leverages(number) if through is None else None
-    if leverage is None:
-        return _piecewise(fit, group, through)
+    leverage = fit.leverages(number)
+    if leverage is None or through is not None:
+        return _piecewise(fit, group, through, leverage)
     weight = group.weighting.weights[0].matrix
     redundancy = np.subtract(1.0, leverage, out=leverage)
     return redundancy, weight * group.residual, np.sqrt(np.maximum(weight * redundancy, 0.0)), np.zeros(
         (*redundancy.shape, 0))
 
 
-def _piecewise(fit: Linearisation, group: Group, through: Array | None) -> tuple[Array, Array, Array, Array]:
-    """The same by derivatives of some rows at a time."""
+def _piecewise(fit: Linearisation, group: Group, through: Array | None, known: Array | None
+               ) -> tuple[Array, Array, Array, Array]:
+    """The same by derivatives of some rows at a time; known: (J C J' P)_ii of readings (n, dim), where it is."""
     n, dim = group.residual.shape
     redundancy, weighed, scale = np.empty((n, dim)), np.empty((n, dim)), np.empty((n, dim))
     influence = np.zeros((n, dim, 0 if through is None else len(through)))
@@ -152,11 +157,13 @@ def _piecewise(fit: Linearisation, group: Group, through: Array | None) -> tuple
             rows = mixing.rows[blocks, :targets]
             own = mixing.matrix[blocks].T if mixing.matrix.ndim == 2 else np.einsum(
                 "mdd->dm", mixing.matrix[blocks, :, : len(residual)])
-            if mixing.matrix.ndim == 2:
-                leverage = _variance(fit, pull, pull)  # (P J C J' P)_ii
-                hat = leverage / own  # (J C J' P)_ii of independent readings
+            if known is not None:
+                hat = known[rows[:, 0]].T
+                leverage = hat * own
             else:
-                leverage, hat = _variance(fit, pull, pull), _variance(fit, _plain(source, rows), pull)
+                leverage = _variance(fit, pull, pull)  # (P J C J' P)_ii
+                # (J C J' P)_ii is the same over P_ii where readings are independent
+                hat = leverage / own if mixing.matrix.ndim == 2 else _variance(fit, _plain(source, rows), pull)
 
             def placed(numbers: Array, rows: Index = rows, targets: int = targets) -> Array:
                 return np.reshape(numbers.T, (len(rows), targets, dim, *numbers.shape[:-2]))

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.compiled import sparse
-from calib.compiled.fused import LEVERAGES, POINTERS, SUMS, Shape
+from calib.compiled.fused import LEVERAGES, POINTERS, SUMS, VALUES, Shape
 from calib.compiled.intermediate import Instruction
 from calib.errors import CalibrationError
 
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     from calib.compiled.machine import Compiler
 
-__all__ = ["LEVERAGES", "SUMS", "CompiledRows", "Instruction", "Shape", "available", "fused_rows", "parts_of", "pays",
-           "row_back_end", "run_side_by_side", "sparse", "sparse_loop", "threads"]
+__all__ = ["LEVERAGES", "SUMS", "VALUES", "CompiledRows", "Instruction", "Shape", "available", "fused_rows", "parts_of",
+           "pays", "row_back_end", "run_side_by_side", "sparse", "sparse_loop", "threads"]
 
 Array = NDArray[Any]
 T = TypeVar("T")
@@ -141,7 +141,7 @@ class CompiledRows:
 
 @lru_cache(maxsize=64)
 def fused_rows(shape: Shape, task: str) -> FusedRows:
-    """The compiled loop of a shape for a task (SUMS or LEVERAGES), written once."""
+    """The compiled loop of a shape for a task (SUMS, LEVERAGES or VALUES), written once."""
     return FusedRows(shape, task)
 
 

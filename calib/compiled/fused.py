@@ -1,7 +1,8 @@
-"""Rows whose derivatives are used at once: gather, evaluate, whiten, and accumulate or weigh in one compiled loop.
+"""Rows that are used at once: gather, evaluate, whiten, and accumulate or weigh in one compiled loop.
 
 Some rows at a time are evaluated in the lanes of vectors; row by row, while they are in the cache, their products are
 then added to normal equations (SUMS), or multiplied by what comes of these (LEVERAGES). No derivative is ever stored.
+Predictions alone (VALUES) are written where they belong.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calib.compiled.intermediate import ATTRIBUTES, Instruction, Writer, needed
+from calib.compiled.scalars import Scalars
 
 SHARED, INDEXED, OWN = "shared", "indexed", "own"  # an input is one number, that of an instance, or that of the row
 
@@ -35,63 +37,30 @@ class Shape:
     pairs: tuple[tuple[int, int], ...]
 
 
-SUMS, LEVERAGES = "sums", "leverages"
-_ALWAYS = ("blocks", "bases", "indices", "weights", "owner", "places", "inner", "coupling", "index", "totals")
-POINTERS = {SUMS: (*_ALWAYS, "readings", "pull", "pulls", "objective"), LEVERAGES: (*_ALWAYS, "half", "leverage")}
-
-
-class _Lines:
-    """Scalar code after the vectors of a row."""
-
-    def __init__(self, writer: Writer):
-        self.value, self.lines = writer.value, writer.lines
-
-    def at(self, base: str, offset: str | int, kind: str = "double") -> str:
-        """Address of an element."""
-        return self.value(f"getelementptr {kind}, ptr {base}, i64 {offset}")
-
-    def load(self, base: str, offset: str | int, kind: str = "double") -> str:
-        """An element."""
-        return self.value(f"load {kind}, ptr {self.at(base, offset, kind)}, align {4 if kind == 'i32' else 8}")
-
-    def whole(self, operation: str, a: str | int, b: str | int) -> str:
-        """Sum or product of whole numbers."""
-        return self.value(f"{operation} i64 {a}, {b}")
-
-    def sum(self, total: str, left: str, right: str) -> str:
-        """A sum and a product more."""
-        return self.value(f"fadd contract double {total}, {self.value(f'fmul contract double {left}, {right}')}")
-
-    def dot(self, left: Sequence[str], right: Sequence[str]) -> str:
-        """Sum of products."""
-        total = self.value(f"fmul contract double {left[0]}, {right[0]}")
-        for a, b in zip(left[1:], right[1:], strict=True):
-            total = self.sum(total, a, b)
-        return total
-
-    def add(self, base: str, offset: str | int, number: str) -> None:
-        """Add a number to an element in memory."""
-        place = self.at(base, offset)
-        there = self.value(f"load double, ptr {place}, align 8")
-        self.lines.append(f"  store double {self.value(f'fadd double {there}, {number}')}, ptr {place}, align 8")
+SUMS, LEVERAGES, VALUES = "sums", "leverages", "values"
+_ROWS = ("blocks", "bases", "indices")
+_PLACES = (*_ROWS, "weights", "owner", "places", "inner", "coupling", "index", "totals")
+POINTERS = {SUMS: (*_PLACES, "readings", "pull", "pulls", "objective"), LEVERAGES: (*_PLACES, "half", "found"),
+            VALUES: (*_ROWS, "found")}
 
 
 def fused(shape: Shape, task: str, lanes: int) -> str:
     """LLVM IR of `rows(count, far, wide, pointers...)` for blocks that are single rows.
 
-    task: SUMS or LEVERAGES; far, wide: distances of the rows of places and of coupling; pointers in the order of
-    POINTERS of the task, of which bases, indices, index, totals and pulls are arrays of pointers.
+    task: SUMS, LEVERAGES or VALUES; far, wide: distances of the rows of places and of coupling; pointers: POINTERS of
+    the task in order, of which bases, indices, index, totals and pulls are arrays of pointers.
     """
     writer = Writer(lanes)
-    lines = _Lines(writer)
+    lines = Scalars(writer)
     counts = {"bases": len(shape.feeds), "indices": len(shape.feeds), "index": len(shape.pairs),
-              "totals": len(shape.pairs), **({"pulls": len(shape.outside)} if task == SUMS else {})}
-    fixed = {(name, k): lines.load(f"%{name}", k, "ptr") for name, many in counts.items() for k in range(many)}
+              "totals": len(shape.pairs), "pulls": len(shape.outside)}
+    fixed = {(name, k): lines.load(f"%{name}", k, kind="ptr")
+             for name in POINTERS[task] for k in range(counts.get(name, 0))}
     first = len(writer.lines)
     _evaluate(writer, lines, shape, task, fixed)
     kept = shape.dim * (1 + sum(shape.freedoms))
     second = len(writer.lines)
-    (_products if task == SUMS else _leverages)(lines, shape, lanes, fixed)
+    {SUMS: _products, LEVERAGES: _leverages, VALUES: _values}[task](lines, shape, lanes, fixed)
     return "\n".join([
         f"define void @rows(i64 %count, i64 %far, i64 %wide, {', '.join(f'ptr %{p}' for p in POINTERS[task])}) #0 {{",
         "entry:", f"  %scratch = alloca [{kept * lanes} x double], align {8 * lanes}", *writer.lines[:first],
@@ -108,13 +77,13 @@ def fused(shape: Shape, task: str, lanes: int) -> str:
     ])
 
 
-def _evaluate(writer: Writer, lines: _Lines, shape: Shape, task: str, fixed: dict[tuple[str, int], str]) -> None:
+def _evaluate(writer: Writer, lines: Scalars, shape: Shape, task: str, fixed: dict[tuple[str, int], str]) -> None:
     """Whitened residuals (where wanted) and derivatives of a vector of rows, (1 + all columns) times dim vectors, into
-    the scratch."""
+    the scratch; or predictions as they are."""
     rows = []
     for lane in range(writer.lanes):  # behind the end the last row stands in
         place = lines.value(f"call i64 @llvm.smin.i64(i64 {lines.whole('add', '%row', lane)}, i64 %last)")
-        rows.append(lines.load("%blocks", place, "i64"))
+        rows.append(lines.load("%blocks", place, kind="i64"))
 
     def gathered(base: str, offsets: Sequence[str]) -> str:
         vector = "poison"
@@ -125,20 +94,20 @@ def _evaluate(writer: Writer, lines: _Lines, shape: Shape, task: str, fixed: dic
 
     inputs: list[str] = []
     for k, (kind, width) in enumerate(shape.feeds):
-        instances = [lines.load(fixed["indices", k], r, "i64") for r in rows] if kind == INDEXED else rows
+        instances = [lines.load(fixed["indices", k], r, kind="i64") for r in rows] if kind == INDEXED else rows
         starts = ["0"] * writer.lanes if kind == SHARED else [lines.whole("mul", i, width) for i in instances]
         inputs += [gathered(fixed["bases", k], [lines.whole("add", s, j) for s in starts]) for j in range(width)]
     own = [lines.whole("mul", r, shape.dim) for r in rows]
     places = [[lines.whole("add", o, j) for o in own] for j in range(shape.dim)]
-    weights = [gathered("%weights", p) for p in places]
+    weights = [] if task == VALUES else [gathered("%weights", p) for p in places]
 
     def keep(number: int, value: str) -> None:
-        weighed = writer.operation("MUL", weights[number % shape.dim], value)
+        weighed = writer.operation("MUL", weights[number % shape.dim], value) if weights else value
         place = lines.at("%scratch", number * writer.lanes)
         writer.lines.append(f"  store {writer.type} {weighed}, ptr {place}, align {8 * writer.lanes}")
 
     def store(number: int, value: str) -> None:
-        if number >= shape.dim:
+        if number >= shape.dim or task == VALUES:
             keep(number, value)
             return
         residual = gathered("%readings", places[number])
@@ -149,11 +118,11 @@ def _evaluate(writer: Writer, lines: _Lines, shape: Shape, task: str, fixed: dic
                 residual = writer.operation("SUB", residual, writer.operation("MUL", writer.constant(period), turns))
         keep(number, residual)
 
-    wanted = shape.instructions if task == SUMS else needed(shape.instructions, shape.dim)
+    wanted = needed(shape.instructions, shape.dim) if task == LEVERAGES else shape.instructions
     writer.run(wanted, inputs.__getitem__, store)
 
 
-def _row(lines: _Lines, shape: Shape, lanes: int) -> tuple[list[str], list[list[str]], list[list[list[str]]]]:
+def _row(lines: Scalars, shape: Shape, lanes: int) -> tuple[list[str], list[list[str]], list[list[list[str]]]]:
     """Of one row the whitened residual (dim), and the derivatives (f, dim) of what is eliminated, with (O, f, dim) of
     what is not."""
     lane = lines.whole("sub", "%one", "%row")
@@ -170,72 +139,75 @@ def _row(lines: _Lines, shape: Shape, lanes: int) -> tuple[list[str], list[list[
     return numbers[: shape.dim], mine, [columns[a] for a in shape.outside]
 
 
-def _place(lines: _Lines, number: int) -> str:
+def _place(lines: Scalars, number: int) -> str:
     """Where the products of one outer column stand in a row of the coupling."""
-    place = lines.load("%places", lines.whole("add", lines.whole("mul", "%far", number), "%one"), "i32")
-    return lines.value(f"zext i32 {place} to i64")
+    return lines.load("%places", "%far", number, "%one", kind="i32")
 
 
-def _products(lines: _Lines, shape: Shape, lanes: int, fixed: dict[tuple[str, int], str]) -> None:
+def _products(lines: Scalars, shape: Shape, lanes: int, fixed: dict[tuple[str, int], str]) -> None:
     """Add the products of one row to the normal equations."""
     residual, mine, outside = _row(lines, shape, lanes)
-    lines.add("%objective", 0, lines.dot(residual, residual))
+    lines.add(lines.dot(residual, residual), "%objective", 0)
     if mine:
-        f, owner = len(mine), lines.load("%owner", "%one", "i64")
-        square, single = lines.whole("mul", owner, f * f), lines.whole("mul", owner, f)
+        f, owner = len(mine), lines.load("%owner", "%one", kind="i64")
         for k in range(f):
-            lines.add("%pull", lines.whole("add", single, k), lines.dot(mine[k], residual))
+            lines.add(lines.dot(mine[k], residual), "%pull", owner, f, k)
             for j in range(k + 1):
-                lines.add("%inner", lines.whole("add", square, k * f + j), lines.dot(mine[k], mine[j]))
+                lines.add(lines.dot(mine[k], mine[j]), "%inner", owner, f * f, k * f + j)
         for o, column in enumerate(c for one in outside for c in one):
             place = _place(lines, o)
             for k in range(f):
-                lines.add("%coupling", lines.whole("add", lines.whole("mul", "%wide", k), place),
-                          lines.dot(mine[k], column))
+                lines.add(lines.dot(mine[k], column), "%coupling", "%wide", k, place)
     for p, (s, t) in enumerate(shape.pairs):
-        index = lines.value(f"zext i32 {lines.load(fixed['index', p], '%one', 'i32')} to i64")
+        index = lines.load(fixed["index", p], "%one", kind="i32")
         g, h = len(outside[s]), len(outside[t])
-        base, alone = lines.whole("mul", index, g * h), lines.whole("mul", index, g)
         for a in range(g):
             for b in range(a + 1 if s == t else h):
-                lines.add(fixed["totals", p], lines.whole("add", base, a * h + b),
-                          lines.dot(outside[s][a], outside[t][b]))
+                lines.add(lines.dot(outside[s][a], outside[t][b]), fixed["totals", p], index, g * h, a * h + b)
             if s == t:
-                lines.add(fixed["pulls", s], lines.whole("add", alone, a), lines.dot(outside[s][a], residual))
+                lines.add(lines.dot(outside[s][a], residual), fixed["pulls", s], index, g, a)
 
 
-def _leverages(lines: _Lines, shape: Shape, lanes: int, fixed: dict[tuple[str, int], str]) -> None:
+def _leverages(lines: Scalars, shape: Shape, lanes: int, fixed: dict[tuple[str, int], str]) -> None:
     """The diagonal of J C J' of one row. C is half' inner half of an eliminated instance, -half' coupling of it with
     the outer columns, and totals of these."""
     _, mine, outside = _row(lines, shape, lanes)
     components = range(shape.dim)
     f, total, crossed = len(mine), ["0.0"] * shape.dim, list(mine)
     if mine:
-        owner = lines.whole("mul", lines.load("%owner", "%one", "i64"), f * f)
-        half, inner = ([[lines.load(base, lines.whole("add", owner, k * f + j)) for j in range(f)] for k in range(f)]
+        owner = lines.load("%owner", "%one", kind="i64")
+        half, inner = ([[lines.load(base, owner, f * f, k * f + j) for j in range(f)] for k in range(f)]
                        for base in ("%half", "%inner"))
         through = [[lines.dot(row, [m[d] for m in mine]) for d in components] for row in half]
         crossed = [[lines.dot(row, [t[d] for t in through]) for d in components] for row in inner]
         for o, column in enumerate(c for one in outside for c in one):
             place = _place(lines, o)
             for k in range(f):
-                met = lines.load("%coupling", lines.whole("add", lines.whole("mul", "%wide", k), place))
+                met = lines.load("%coupling", "%wide", k, place)
                 twice = lines.value(f"fmul double {met}, -2.0")
                 crossed[k] = [lines.sum(crossed[k][d], twice, column[d]) for d in components]
         total = [lines.dot([t[d] for t in through], [c[d] for c in crossed]) for d in components]
     for p, (s, t) in enumerate(shape.pairs):
-        index = lines.value(f"zext i32 {lines.load(fixed['index', p], '%one', 'i32')} to i64")
+        index = lines.load(fixed["index", p], "%one", kind="i32")
         g, h = len(outside[s]), len(outside[t])
-        base = lines.whole("mul", index, g * h)
         for a in range(g):
             # of a symmetric block the part below the diagonal counts twice, and so does a block that stands there
             count = a + 1 if s == t else h
-            number = [lines.load(fixed["totals", p], lines.whole("add", base, a * h + b)) for b in range(count)]
+            number = [lines.load(fixed["totals", p], index, g * h, a * h + b) for b in range(count)]
             number = [n if s == t and b == a else lines.value(f"fmul double {n}, 2.0") for b, n in enumerate(number)]
             for d in components:
                 row = lines.dot(number, [outside[t][b][d] for b in range(count)])
                 total[d] = lines.sum(total[d], outside[s][a][d], row)
-    block = lines.whole("mul", lines.load("%blocks", "%one", "i64"), shape.dim)
-    for d in components:
-        place = lines.at("%leverage", lines.whole("add", block, d))
-        lines.lines.append(f"  store double {total[d]}, ptr {place}, align 8")
+    _store(lines, shape, total)
+
+
+def _values(lines: Scalars, shape: Shape, lanes: int, _fixed: dict[tuple[str, int], str]) -> None:
+    """The predictions of one row."""
+    _store(lines, shape, _row(lines, shape, lanes)[0])
+
+
+def _store(lines: Scalars, shape: Shape, numbers: Sequence[str]) -> None:
+    """Put the numbers of one row where they belong."""
+    block = lines.load("%blocks", "%one", kind="i64")
+    for d, number in enumerate(numbers):
+        lines.store(number, "%found", block, shape.dim, d)

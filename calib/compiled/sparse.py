@@ -4,57 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from calib.compiled.intermediate import Writer
+from calib.compiled.scalars import Scalars
+
 NUMBERS = ("begin", "end", "far", "others", "apart")
-POINTERS = ("first", "columns", "values", "matrix", "symmetric", "out", "more")
+POINTERS = ("first", "columns", "values", "matrix", "symmetric", "out", "more", "room")
+AT_ONCE = 4  # sums that run beside each other, so that none waits for the one before
 
 
-class _Text:
-    """Lines of LLVM IR with names of their own."""
+class _Text(Scalars):
+    """A function of loops over blocks and their entries."""
 
     def __init__(self) -> None:
-        self.lines: list[str] = []
-        self._count = 0
-
-    def value(self, text: str) -> str:
-        """Name of the value of an expression."""
-        self._count += 1
-        self.lines.append(f"  %v{self._count} = {text}")
-        return f"%v{self._count}"
-
-    def at(self, base: str, *offset: str, kind: str = "double") -> str:
-        """Address of the element at a product of two numbers and a third, or at one."""
-        place = offset[0] if len(offset) == 1 else self.value(
-            f"add i64 {self.value(f'mul i64 {offset[0]}, {offset[1]}')}, {offset[2]}")
-        return self.value(f"getelementptr {kind}, ptr {base}, i64 {place}")
-
-    def load(self, base: str, *offset: str, kind: str = "double") -> str:
-        """The element there."""
-        return self.value(f"load {kind}, ptr {self.at(base, *offset, kind=kind)}, align {4 if kind == 'i32' else 8}")
+        super().__init__(Writer(1))
 
     def column(self, entry: str) -> str:
         """The column of an entry."""
-        return self.value(f"zext i32 {self.load('%columns', entry, kind='i32')} to i64")
-
-    def store(self, number: str, base: str, *offset: str) -> None:
-        """Put a number there."""
-        self.lines.append(f"  store double {number}, ptr {self.at(base, *offset)}, align 8")
-
-    def add(self, number: str, base: str, *offset: str) -> None:
-        """Add a number to the element there."""
-        place = self.at(base, *offset)
-        there = self.value(f"load double, ptr {place}, align 8")
-        self.lines.append(f"  store double {self.value(f'fadd double {there}, {number}')}, ptr {place}, align 8")
-
-    def sum(self, total: str, left: str, right: str) -> str:
-        """A sum and a product more."""
-        return self.value(f"fadd contract double {total}, {self.value(f'fmul contract double {left}, {right}')}")
-
-    def dot(self, left: Sequence[str], right: Sequence[str]) -> str:
-        """Sum of products."""
-        total = self.value(f"fmul contract double {left[0]}, {right[0]}")
-        for a, b in zip(left[1:], right[1:], strict=True):
-            total = self.sum(total, a, b)
-        return total
+        return self.load("%columns", entry, kind="i32")
 
     def loop(self, name: str, begin: str, end: str, body: Callable[..., Sequence[str] | None], carried: int = 0
              ) -> list[str]:
@@ -77,7 +43,7 @@ class _Text:
         """The function `rows` with these lines."""
         given = ", ".join([f"i64 %{a}" for a in NUMBERS] + [f"ptr %{a}" for a in POINTERS])
         return "\n".join([f"define void @rows({given}) #0 {{", "entry:", *self.lines, "  ret void", "}",
-                          "attributes #0 = { nounwind }", ""])
+                          "declare i64 @llvm.smin.i64(i64, i64)", "attributes #0 = { nounwind }", ""])
 
     # --- blocks -------------------------------------------------------------------------------------------------------
 
@@ -142,29 +108,33 @@ def transposed(freedom: int) -> str:
     return text.function()
 
 
+def _kept(text: _Text, freedom: int, block: str) -> tuple[str, str]:
+    """Put a block, multiplied by its matrix, into room (f, S); its first entry, and the one behind its last."""
+    rows, (begin, end) = text.matrix(block, freedom), text.entries(block)
+
+    def keep(e: str) -> None:
+        for k, number in enumerate(text.mapped(rows, e)):
+            text.store(number, "%room", "%others", k, text.whole("sub", e, begin))
+    text.loop("e", begin, end, keep)
+    return begin, end
+
+
 def square(freedom: int) -> str:
     """LLVM IR that adds to out (S, S), on and below the diagonal, the square of the blocks, each multiplied by its
-    matrix; more: room for one block (f, S)."""
+    matrix."""
     text = _Text()
 
     def block(i: str) -> None:
-        rows, (begin, end) = text.matrix(i, freedom), text.entries(i)
-
-        def keep(e: str) -> None:
-            place = text.value(f"sub i64 {e}, {begin}")
-            for k, number in enumerate(text.mapped(rows, e)):
-                text.store(number, "%more", "%others", str(k), place)
+        begin, end = _kept(text, freedom, i)
 
         def row(a: str) -> None:
-            mine = [text.load("%more", "%others", str(k), text.value(f"sub i64 {a}, {begin}")) for k in range(freedom)]
-            line, after = text.at("%out", text.column(a), "%others", "0"), text.value(f"add i64 {a}, 1")
+            mine = [text.load("%room", "%others", k, text.whole("sub", a, begin)) for k in range(freedom)]
+            line = text.at("%out", text.column(a), "%others", 0)
 
             def column(b: str) -> None:
-                place = text.value(f"sub i64 {b}, {begin}")
-                theirs = [text.load("%more", "%others", str(k), place) for k in range(freedom)]
+                theirs = [text.load("%room", "%others", k, text.whole("sub", b, begin)) for k in range(freedom)]
                 text.add(text.dot(mine, theirs), line, text.column(b))
-            text.loop("b", begin, after, column)
-        text.loop("e", begin, end, keep)
+            text.loop("b", begin, text.whole("add", a, 1), column)
         text.loop("a", begin, end, row)
     text.loop("i", "%begin", "%end", block)
     return text.function()
@@ -172,33 +142,34 @@ def square(freedom: int) -> str:
 
 def within(freedom: int) -> str:
     """LLVM IR that puts into out (f, nnz) the blocks, each multiplied by its matrix, times a symmetric (S, S), where
-    blocks are; and adds to more (m, f, f) that times the transposed blocks."""
+    blocks are; and into more (m, f, f) that times the transposed blocks."""
     text = _Text()
 
     def block(i: str) -> None:
-        rows, (begin, end) = text.matrix(i, freedom), text.entries(i)
+        begin, end = _kept(text, freedom, i)
+        last = text.whole("sub", end, 1)
 
-        def clear(e: str) -> None:
-            for k in range(freedom):
-                text.store("0.0", "%out", "%apart", str(k), e)
+        def some(n: str) -> None:  # behind the end the last entry is done again
+            entry = text.whole("add", begin, text.whole("mul", n, AT_ONCE))
+            these = [text.value(f"call i64 @llvm.smin.i64(i64 {text.whole('add', entry, k)}, i64 {last})")
+                     for k in range(AT_ONCE)]
+            lines = [text.at("%symmetric", text.column(b), "%others", 0) for b in these]
 
-        def row(a: str) -> None:
-            line, mine = text.at("%symmetric", text.column(a), "%others", "0"), text.mapped(rows, a)
+            def row(a: str, *sums: str) -> list[str]:
+                mine = [text.load("%room", "%others", k, text.whole("sub", a, begin)) for k in range(freedom)]
+                column = text.column(a)
+                weights = [text.load(line, column) for line in lines]
+                return [text.sum(s, weights[n // freedom], mine[n % freedom]) for n, s in enumerate(sums)]
+            for n_sum, total in enumerate(text.loop("a", begin, end, row, AT_ONCE * freedom)):
+                text.store(total, "%out", "%apart", n_sum % freedom, these[n_sum // freedom])
 
-            def column(b: str) -> None:  # no sum waits for the one before
-                weight = text.load(line, text.column(b))
-                for k, number in enumerate(mine):
-                    place = text.at("%out", "%apart", str(k), b)
-                    there = text.value(f"load double, ptr {place}, align 8")
-                    text.lines.append(f"  store double {text.sum(there, weight, number)}, ptr {place}, align 8")
-            text.loop("b", begin, end, column)
-
-        def entry(e: str, *sums: str) -> list[str]:
-            mine, done = text.mapped(rows, e), [text.load("%out", "%apart", str(k), e) for k in range(freedom)]
+        def product(e: str, *sums: str) -> list[str]:
+            mine = [text.load("%room", "%others", k, text.whole("sub", e, begin)) for k in range(freedom)]
+            done = [text.load("%out", "%apart", k, e) for k in range(freedom)]
             return [text.sum(s, done[n // freedom], mine[n % freedom]) for n, s in enumerate(sums)]
-        text.loop("e", begin, end, clear)
-        text.loop("a", begin, end, row)
-        for n, total in enumerate(text.loop("s", begin, end, entry, freedom * freedom)):
-            text.store(total, "%more", i, str(freedom * freedom), str(n))
+        count = text.whole("sdiv", text.whole("add", text.whole("sub", end, begin), AT_ONCE - 1), AT_ONCE)
+        text.loop("n", "0", count, some)
+        for n, total in enumerate(text.loop("s", begin, end, product, freedom * freedom)):
+            text.store(total, "%more", i, freedom * freedom, n)
     text.loop("i", "%begin", "%end", block)
     return text.function()
