@@ -197,7 +197,8 @@ def _ranking(found: Explanation) -> Drawing | None:
     axes.set_xscale("log")
     low, high = int(np.floor(np.log10(min(drops)))), int(np.ceil(np.log10(max(drops)) + 1e-9))
     axes.set_xlim(10.0**low, 10.0**max(high, low + 1))
-    axes.set_xticks([10.0**k for k in range(low, max(high, low + 1) + 1)], minor=False)
+    powers = range(low, max(high, low + 1) + 1)
+    axes.set_xticks([10.0**k for k in powers], [numbers.ten_to(k) for k in powers])  # as text: formulas are slow
     axes.minorticks_off()
     axes.set_xlabel("drop of v′Pv that this candidate alone would give")
     unseen = sum(1 for r in found.ranking if not r.dof)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-MINUS, TIMES = "−", "×10"
+MINUS = "−"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -39,7 +39,7 @@ def with_uncertainty(value: float | None, u: float | None) -> tuple[str, str]:
     power = math.floor(math.log10(size))
     if power >= 7 or power <= -5:
         mantissa = max(places + power, 0)
-        tail = f"{TIMES}{str(power).translate(_SUPERSCRIPTS)}"
+        tail = f"×{ten_to(power)}"
         return (_signed(f"{value / 10.0**power:.{mantissa}f}") + tail, f"{u / 10.0**power:.{mantissa}f}" + tail)
     if places < 0:
         return _signed(f"{round(value, places):.0f}"), f"{round(u, places):.0f}"
@@ -58,9 +58,14 @@ def plain(value: float | None, digits: int = 4) -> str:
         return "0"
     power = math.floor(math.log10(abs(value)))
     if power >= 7 or power <= -5:
-        return _signed(f"{value / 10.0**power:.{digits - 1}f}") + f"{TIMES}{str(power).translate(_SUPERSCRIPTS)}"
+        return _signed(f"{value / 10.0**power:.{digits - 1}f}") + f"×{ten_to(power)}"
     text = f"{value:.{max(digits - 1 - power, 0)}f}"
     return _signed(text.rstrip("0").rstrip(".") if "." in text else text)
+
+
+def ten_to(power: int) -> str:
+    """A power of ten, "10⁻³"."""
+    return f"10{str(power).translate(_SUPERSCRIPTS)}"
 
 
 def probability(value: float | None) -> str:
