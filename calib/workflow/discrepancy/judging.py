@@ -16,6 +16,7 @@ from calib.workflow.discrepancy.structure import MOST, RUN, Place, Screen, descr
 from calib.workflow.discrepancy.subsets import BLUNDER
 
 ADVANTAGE = 6.0  # by which peculiar noise must beat plain noise, and a structure without a name a named effect
+GROSS = 6.0  # in u: from where on a reading is called a blunder; tails that are merely heavy reach so far rarely
 PULSE = 3  # neighbours wrong to the same side: of 3 blunders among 30 readings, one time in 600
 ODD = 8.0  # what it costs to assume noise that is not as stated beside something else: two causes where one may do
 
@@ -92,8 +93,21 @@ def price_of(scene: Scene, finding: Finding) -> float:
     log_dof = np.log(max(finding.left.dof, 2))
     candidates = max(len(scene.chosen), 1)
     both = ADVANTAGE if finding.effects and finding.blunders else 0.0
-    return float(taken * log_dof + 2 * len(finding.effects) * np.log(candidates) + both
+    return float(taken * log_dof + 2 * len(finding.effects) * np.log(candidates) + both + _smallness(scene, finding)
                  + 2 * _ways(len(scene.readings), len(finding.blunders)) + len(finding.blunders) * (BLUNDER - log_dof))
+
+
+def _smallness(scene: Scene, finding: Finding) -> float:
+    """What it costs that blunders are small: a reading that went wrong is wrong by GROSS or more before its noise."""
+    from scipy.special import log_ndtr
+
+    if not finding.blunders:
+        return 0.0
+    beside = _left(scene, replace(finding, blunders=()))
+    units = np.zeros((len(beside.residual), len(finding.blunders)))
+    units[list(finding.blunders), np.arange(len(finding.blunders))] = 1.0
+    sizes = np.linalg.lstsq(beside.outside(units), beside.residual, rcond=None)[0]
+    return float(-2 * np.sum(log_ndtr(np.abs(sizes) - GROSS)))
 
 
 def _ways(n: int, k: int) -> float:
