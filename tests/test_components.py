@@ -5,7 +5,9 @@ import pytest
 from declared import line
 
 from calib import Observations, Problem, Unknown, covariance, linearise, prior, solve, variance_components
+from calib.analyse.scatter import ByMatrices, ByPasses
 from calib.errors import CalibrationError
+from problems.network import example
 
 
 def two_groups(seed, factors=(1.0, 3.0), n=(40, 25)):
@@ -70,3 +72,21 @@ def test_a_group_without_redundancy_is_named():
     )
     with pytest.raises(CalibrationError, match="'once' cannot be estimated: its readings have no redundancy"):
         variance_components(linearise(solve(problem)))
+
+
+def test_matrices_and_passes_over_the_rows_give_the_same_scatter():
+    fit = linearise(solve(example(4)))
+    sets = [[g.name] for g in fit.groups if not g.is_prior]
+    variance = np.linspace(0.5, 2.0, len(sets))
+    whole, passing = ByMatrices(fit, sets), ByPasses(fit, sets)
+    for by_matrices, by_passes in zip(whole.at(variance), passing.at(variance), strict=True):
+        assert by_passes == pytest.approx(by_matrices, rel=1e-9)
+    assert passing.taken(variance) == pytest.approx(whole.taken(variance), rel=1e-8)    # few readings: no probes
+
+
+def test_probes_give_the_traces_of_many_readings():
+    fit = linearise(solve(two_groups(3, n=(400, 250))))
+    variance = np.array([0.5, 2.0])
+    whole, passing = ByMatrices(fit, [["fine"], ["coarse"]]), ByPasses(fit, [["fine"], ["coarse"]])
+    whole.at(variance)
+    assert passing.taken(variance) == pytest.approx(whole.taken(variance), rel=0.5)     # rank one: 64 probes, 18 %

@@ -12,6 +12,7 @@ from calib.blocks import Array
 from calib.defect import defect_in_words, together
 from calib.errors import RankDefect
 from calib.linearisation import Functions, Linearisation
+from calib.unknown import Unknown
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,21 @@ def refuse_what_cannot_be_known(fit: Linearisation, functions: Functions) -> Non
             f"'{functions.labels[hidden[0]]}' cannot be known from these readings: {together(sentences)}.",
             directions=sentences,
         )
+
+
+def of_instances(fit: Linearisation, unknown: Unknown) -> Array:
+    """Covariance of every instance of an unknown by itself, considered quantities included.
+
+    fit: a linearisation; unknown: of any number of instances.
+    Returns (count, freedom, freedom), in SI; zero where a part is held.
+    """
+    columns = fit.layout.position[fit.layout.span(unknown)].reshape(unknown.count, -1)
+    held, moving = considered(fit), (columns >= 0).any(axis=1)
+    free = columns[moving]
+    response = np.where((free >= 0)[:, :, None], held.response[np.maximum(free, 0)], 0.0)
+    found = np.zeros((*columns.shape, columns.shape[1]))
+    found[moving] = fit.factor.between(free, free) + response @ held.covariance @ response.transpose(0, 2, 1)
+    return found
 
 
 def covariance(fit: Linearisation, *what: Any) -> Covariance:

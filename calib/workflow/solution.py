@@ -12,7 +12,7 @@ import numpy as np
 from calib import units
 from calib.analyse.budget import Budget, budget
 from calib.analyse.components import VarianceComponents, variance_components
-from calib.analyse.covariance import Covariance, covariance
+from calib.analyse.covariance import Covariance, covariance, of_instances
 from calib.analyse.estimability import Estimability, estimability
 from calib.analyse.reliability import Reliability, reliability
 from calib.analyse.shapes import scene
@@ -33,6 +33,7 @@ from calib.workflow.shown import values_by_label
 BUDGETS = 40     # results up to which a budget is split; beyond that a table of budgets is read by nobody
 INSEPARABLE = 0.999      # correlation of two unknowns from which on a report speaks of it
 REPEATS = 12     # instances up to which an unknown nobody named is reported; foot points and poses are not results
+TOGETHER = 600   # scalars of unknowns that nobody named whose joint covariance is reported
 
 
 @dataclass(frozen=True)
@@ -183,12 +184,9 @@ def _uncertainties(fit: Linearisation) -> dict[Unknown, np.ndarray]:
     """Standard uncertainty of every free scalar, in SI; not a number where it is held."""
     found = {}
     for unknown in fit.layout.unknowns:
-        span = fit.layout.span(unknown)
-        free = np.asarray(fit.layout.free[span])
-        u = np.full(len(free), np.nan)
-        if free.any():
-            u = np.where(free, covariance(fit, unknown).u, np.nan)
-        found[unknown] = u.reshape(unknown.count, unknown.freedom)
+        free = fit.layout.free[fit.layout.span(unknown)].reshape(unknown.count, unknown.freedom)
+        variances = np.diagonal(of_instances(fit, unknown), axis1=1, axis2=2)
+        found[unknown] = np.where(free, np.sqrt(variances), np.nan)
     return found
 
 
@@ -267,7 +265,8 @@ def _conformities(job: Job, results: Covariance) -> tuple[Conformity, ...]:
 
 
 def requested(problem: Problem, names: Sequence[str], where: str) -> list[Any]:
-    """What a report is about: the named quantities and unknowns, or, where none is named, all that do not repeat often.
+    """What a report is about: the named quantities and unknowns, or, where none is named, all that do not repeat often,
+    or else the first instances of those that do.
 
     names: of [report] quantities; where: place in the job, for the message.
     return: selections, unknowns and quantities.
@@ -276,5 +275,7 @@ def requested(problem: Problem, names: Sequence[str], where: str) -> list[Any]:
     if names:
         return [named(problem, name, where) for name in names]
     unknowns = [one for one in problem.unknowns if one.count <= REPEATS and not problem.is_held(one).all()]
-    return [*(one for one in problem.quantities if one.n <= REPEATS), *unknowns] or [
-        one for one in problem.unknowns if not problem.is_held(one).all()]
+    few = [*(one for one in problem.quantities if one.n <= REPEATS), *unknowns]
+    many = [one for one in problem.unknowns if not problem.is_held(one).all()]
+    shown = TOGETHER // max(sum(one.freedom for one in many), 1)
+    return few or [one if one.count <= shown else one[np.arange(shown)] for one in many]

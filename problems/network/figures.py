@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from calib import Linearisation, Unknown
-from calib.analyse.covariance import considered
+from calib import Linearisation
+from calib.analyse.covariance import of_instances
 from calib.units import gon, mm
 
 MOST = 2000                              # points whose ellipses are computed
@@ -28,7 +28,7 @@ def result_tables(fit: Linearisation) -> dict[str, list[dict[str, Any]]]:
     free = fit.layout.free[fit.layout.span(point)].reshape(point.count, point.freedom)
     values = np.reshape(fit.values[point], (point.count, point.freedom))
     factor = float(np.sqrt(fit.objective / fit.dof)) if fit.dof > 0 else float("nan")
-    matrices, lines = covariances(fit, point), []
+    matrices, lines = of_instances(fit, point), []
     for i in range(min(point.count, MOST)):
         line: dict[str, Any] = {"point": point.keys[i]}
         line |= {f"{part}_m": float(value) for part, value in zip(point.parts, values[i])}
@@ -42,17 +42,6 @@ def result_tables(fit: Linearisation) -> dict[str, list[dict[str, Any]]]:
         lines.append(line)
     columns = list(dict.fromkeys(name for line in lines for name in line))
     return {"points": [{name: line.get(name) for name in columns} for line in lines]}
-
-
-def covariances(fit: Linearisation, unknown: Unknown) -> np.ndarray:
-    """Covariance (count, dim, dim) of every instance of an unknown, held quantities of stated uncertainty included."""
-    columns = fit.layout.position[fit.layout.span(unknown)].reshape(unknown.count, -1)
-    held, moving = considered(fit), (columns >= 0).any(axis=1)
-    free = columns[moving]
-    response = np.where((free >= 0)[:, :, None], held.response[np.maximum(free, 0)], 0.0)
-    found = np.zeros((*columns.shape, columns.shape[1]))
-    found[moving] = fit.factor.between(free, free) + response @ held.covariance @ response.transpose(0, 2, 1)
-    return found
 
 
 def _figures(matrix: np.ndarray, free: str, parts: tuple[str, ...]) -> dict[str, float]:
