@@ -11,6 +11,7 @@ from command import runner
 from test_network_bad_input import SIDES, SQUARE, distances, gkf, job, point, refused, square
 
 from calib import solve
+from calib.errors import InputError
 from problems import network
 
 FROM_A = '<obs from="A">{}<direction to="B" val="0" stdev="5"/><direction to="C" val="50" stdev="5"/></obs>'
@@ -187,3 +188,23 @@ def test_a_mixed_cluster_of_coordinates_may_say_what_its_points_are(tmp_path):
     pull = np.array([10.0, 0.0, 0.0, 0.0])      # only x of P is told twice, 10 mm apart
     np.testing.assert_allclose(place["P"][0], 1.0 + 1e-3 * np.linalg.solve(normal, pull)[0], atol=1e-9)
     np.testing.assert_allclose(place["P"][1], 2.0 + 1e-3 * np.linalg.solve(normal, pull)[1], atol=1e-9)
+
+
+def test_what_cannot_be_read_is_left_out_by_line_where_the_rest_is_wanted(tmp_path):
+    rows = distances().replace('val="141.4214"', 'val="nan"', 1).replace('to="B" val="100.0"', 'val="100.0"')
+    observed = '<coordinates><point id="C" x="100.003" y="oops"/><point id="D" x="0" y="100"/>' \
+               '<cov-mat dim="4" band="3">1 0 0 0 1 0 0 1 0.5 1</cov-mat></coordinates>'
+    bare = '<obs from="A"><z-angle to="C" val="100"/></obs>'
+    one = job(tmp_path, gkf(square() + point("C", place=(7, 7)), rows + observed + bare))
+    with pytest.raises(InputError, match="other coordinates"):
+        network.read_gkf(one.path)
+    survey = network.read_gkf(one.path, strict=False)
+    assert [remark.split(":")[0] for remark in survey.remarks] == [
+        "Taken as without coordinates", *["Left out"] * 4]
+    assert "has no to" in survey.remarks[1] or "does not say to which" in survey.remarks[1]
+    assert "row 5" in survey.remarks[2]
+    assert "y='oops' is not a number" in survey.remarks[3]
+    assert "the zenith angle has no uncertainty" in survey.remarks[4]
+    numbers = sorted(int(n) for batch in survey.batches for n in batch.numbers)
+    assert numbers == [2, 3, 4, 6, 8]
+    assert np.isnan(survey.points["C"].position).all()

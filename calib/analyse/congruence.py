@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri, chndtrinc, fdtrc
 
 from calib.analyse.multiplicity import holm
 from calib.blocks import Array
@@ -50,6 +49,8 @@ class Shifts:
 
     def p_value(self, quantity: float, dof: int) -> float:
         """Probability of a larger quantity where nothing moved: chi-squared, or Fisher's F with an estimated factor."""
+        from scipy.special import chdtrc, fdtrc
+
         if dof <= 0:
             return 1.0
         if self.scatter is None:
@@ -195,6 +196,8 @@ def _described(
 
 def _alone(shifts: Shifts, others: Sequence[str], own: NDArray[np.int64], level: float) -> tuple[float, float]:
     """One point against the stable others: probability of a larger shift, and the movement that would be found [m]."""
+    from scipy.special import chdtri, chndtrinc
+
     shift, matrix = shifts.in_datum_of(others)
     held = shifts.datum[shifts.at(others)]
     if shifts.datum.size and np.linalg.matrix_rank(held) < np.linalg.matrix_rank(shifts.datum):

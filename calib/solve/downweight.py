@@ -10,10 +10,10 @@ sections 7.6 to 7.8; Yang, Antonante, Tzoumas, Carlone (2020), IEEE Robotics and
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import erf
 
 from calib.blocks import Array, Index, Mixing
 from calib.errors import CalibrationError
@@ -155,8 +155,8 @@ class Alike:
                                                                                 * own[:, None, :]))
         limit = loss.threshold if isinstance(loss, Huber) else loss.limit
         outside = weights < wild_below(loss)
-        within = float(erf(limit / np.sqrt(2.0)))
-        square = within - 2.0 * limit * float(np.exp(-0.5 * limit**2)) / np.sqrt(2.0 * np.pi)
+        within = math.erf(limit / math.sqrt(2.0))
+        square = within - 2.0 * limit * math.exp(-0.5 * limit**2) / math.sqrt(2.0 * math.pi)
         both = ~outside[:, :, None] & ~outside[:, None, :]
         rest = np.linalg.inv(np.where(both, self.covariance, diagonal[:, :, None] * eye)) * both
         if isinstance(loss, Truncated):

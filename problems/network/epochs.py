@@ -65,6 +65,9 @@ def comparison(names: tuple[str, str], first: Survey, second: Survey, rules: Rul
     names; first, second: surveys with positions, of the same marks (others are ignored); rules: how to compare.
     Raises InputError where the epochs share too few points, their axes differ, or frames move in them.
     """
+    if first.frames or second.frames:
+        raise InputError("points in frames move as their frames are declared to; `calib solve` gives their places in "
+                         "every epoch. Compare epochs without [data.frames]")
     if first.sense != second.sense or first.axes != second.axes:
         raise InputError(f"the axes of the epochs differ ({first.axes} and {second.axes}, or their circles turn "
                          "against each other); give both in the same axes")

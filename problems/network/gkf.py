@@ -8,7 +8,6 @@ Source: GNU Gama manual, chapter 2, XML input data format for gama-local.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,14 +16,14 @@ import numpy as np
 
 from calib import units
 from calib.errors import InputError
-from calib.units import arcsec, degree, gon, mm
+from calib.units import arcsec, gon, mm
+from problems.network.attributes import angle, banded, key_of, known, number, positive
 from problems.network.clusters import Record, batches
 from problems.network.models import KINDS
 from problems.network.survey import ADJUSTED, CONSTRAINED, FIXED, LEFT_HANDED, RIGHT_HANDED, Array, Point, Survey
 from problems.network.xml import Element, read_xml
 
 CC = 1e-4 * gon
-DEGREES = re.compile(r"\s*([+-]?)(\d+)-(\d+)-(\d+(?:\.\d*)?)\s*")
 ENDS = ("from", "to", "val", "stdev", "from_dh", "to_dh")
 READINGS = {
     "direction": ("direction", ENDS[1:]),
@@ -47,6 +46,8 @@ class _Network:
     """What was read so far; settings: number of settings of the circle at each point."""
 
     path: Path
+    strict: bool = True
+    left_out: list[str] = field(default_factory=list)
     sigma: float = 10.0
     sense: float = 1.0
     turned: list[int] = field(default_factory=list)
@@ -67,8 +68,9 @@ class _Network:
 def read_gkf(path: str | Path, strict: bool = True) -> Survey:
     """Read a survey network.
 
-    path: of a .gkf file; strict: whether a reading to a point that does not exist is an error, or takes no part and is
-    remarked. Returns the survey; points without coordinates have positions that are not numbers.
+    path: of a .gkf file; strict: whether a reading that cannot be read or goes to a point that does not exist, and a
+    point that stands at two places, are errors, or take no part and are remarked.
+    Returns the survey; points without coordinates have positions that are not numbers.
     Raises InputError naming file, line and what to do where the file is no network of this format, defines entities,
     or contradicts itself.
     """
@@ -77,9 +79,9 @@ def read_gkf(path: str | Path, strict: bool = True) -> Survey:
     network = root if root.tag == "network" else root.child("network")
     if network is None:
         raise InputError(f"{path}: has no <network> element; is it an input file of gama-local?")
-    found = _Network(path)
+    found = _Network(path, strict)
     axes, angles = network.attributes.get("axes-xy", "ne"), network.attributes.get("angles", "left-handed")
-    _known(found, network, ("axes-xy", "angles", "epoch"))
+    known(found, network, ("axes-xy", "angles", "epoch"))
     if axes not in (*LEFT_HANDED, *RIGHT_HANDED):
         raise found.wrong(network, f"axes-xy='{axes}' is not one of {', '.join((*LEFT_HANDED, *RIGHT_HANDED))}")
     if angles not in ("left-handed", "right-handed"):
@@ -87,12 +89,12 @@ def read_gkf(path: str | Path, strict: bool = True) -> Survey:
     found.sense = Survey({}, (), axes=axes, clockwise=angles == "left-handed").sense
     a_posteriori = True
     for parameters in network.children_of("parameters"):
-        _known(found, parameters, PARAMETERS)
+        known(found, parameters, PARAMETERS)
         asked = [name for name in ("latitude", "ellipsoid") if name in parameters.attributes]
         found.reduced = asked[0] if asked else found.reduced
         if "tol-abs" in parameters.attributes:
-            found.tolerance = _positive(found, parameters, "tol-abs", 0.0) * mm
-        found.sigma = _positive(found, parameters, "sigma-apr", found.sigma)
+            found.tolerance = positive(found, parameters, "tol-abs", 0.0) * mm
+        found.sigma = positive(found, parameters, "sigma-apr", found.sigma)
         a_posteriori = parameters.attributes.get("sigma-act", "aposteriori") == "aposteriori"
     for section in network.children_of("points-observations"):
         _section(found, section)
@@ -109,7 +111,7 @@ def read_gkf(path: str | Path, strict: bool = True) -> Survey:
             f"(lines {', '.join(map(str, found.turned[:5]))}{' ...' if found.turned[5:] else ''}) are taken with y "
             "reversed. If they hold for the axes of the file, write angles that turn with the axes."
         )
-    remarks += _fixed_elsewhere(found)
+    remarks += [*found.left_out, *_fixed_elsewhere(found)]
     description = network.child("description")
     title = "" if description is None else " ".join(description.text.split())
     return Survey(found.points, loose, correlated, axes=axes, clockwise=angles == "left-handed", remarks=tuple(remarks),
@@ -128,7 +130,7 @@ def _fixed_elsewhere(found: _Network) -> list[str]:
 
 
 def _section(found: _Network, section: Element) -> None:
-    _known(found, section, ("distance-stdev", *sorted(set(DEFAULTS.values()) - {"distance-stdev"})))
+    known(found, section, ("distance-stdev", *sorted(set(DEFAULTS.values()) - {"distance-stdev"})))
     found.defaults = dict(section.attributes)
     for element in section.children:
         if element.tag == "point":
@@ -144,73 +146,15 @@ def _section(found: _Network, section: Element) -> None:
                               "coordinates")
 
 
-def _known(found: _Network, element: Element, names: tuple[str, ...]) -> None:
-    for name in element.attributes:
-        if name not in (*names, "extern", "xmlns", "version"):
-            near = units.near_matches(name, list(names))
-            raise found.wrong(element, f"has an attribute '{name}' that is not known; "
-                              + (f"did you mean '{near[0]}'?" if near else f"there are: {', '.join(names)}"))
-
-
-# --- numbers ----------------------------------------------------------------------------------------------------------
-
-
-def _number(found: _Network, element: Element, name: str, default: float | None = None) -> float:
-    text = element.attributes.get(name)
-    if text is None or not text.strip():
-        if default is None:
-            raise found.wrong(element, f"has no {name}; add it")
-        return default
-    try:
-        value = float(text)
-    except ValueError:
-        raise found.wrong(element, f"{name}='{text}' is not a number; correct it") from None
-    if not math.isfinite(value):
-        raise found.wrong(element, f"{name}='{text}' is not a finite number; correct it or take the reading out")
-    return value
-
-
-def _positive(found: _Network, element: Element, name: str, default: float) -> float:
-    value = _number(found, element, name, default)
-    if value <= 0:
-        raise found.wrong(element, f"{name} is {value:g}; it must be positive")
-    return value
-
-
-def _angle(found: _Network, element: Element) -> tuple[float, str]:
-    """An angle [rad] and its display unit."""
-    text = element.attributes.get("val", "")
-    parts = DEGREES.fullmatch(text)
-    if parts is None:
-        value = _number(found, element, "val")
-        # Directions and azimuths may have been turned by another angle, and then count on beyond a full circle.
-        if abs(value) > (800.0 if element.tag in ("direction", "azimuth") else 400.0):
-            raise found.wrong(element, f"val='{text}' gon is more than a full circle; angles are in gon, or in degrees "
-                              "written 123-45-56.7")
-        return value * gon, "gon"
-    sign, whole, minutes, seconds = parts.groups()
-    if int(minutes) >= 60 or float(seconds) > 60 or int(whole) > 360:    # 60.00" is a rounded minute
-        raise found.wrong(element, f"val='{text}' is no angle in degrees, minutes and seconds; correct it")
-    size = (int(whole) + int(minutes) / 60 + float(seconds) / 3600) * degree
-    return -size if sign == "-" else size, "deg"
-
-
-def _key(found: _Network, element: Element, name: str, default: str = "") -> str:
-    key = element.attributes.get(name, default).strip()
-    if not key:
-        raise found.wrong(element, f"does not say {name} which point; add {name}=...")
-    return key
-
-
 # --- points and readings ----------------------------------------------------------------------------------------------
 
 
 def _point(found: _Network, element: Element, observed: bool = False) -> str:
     """Note what a point is, and where unless its coordinates are observed; its key."""
-    _known(found, element, POINT)
-    key = _key(found, element, "id")
+    known(found, element, POINT)
+    key = key_of(found, element, "id")
     before = found.points.get(key, Point())
-    position = [_number(found, element, part, math.nan) if part in element.attributes else old
+    position = [number(found, element, part, math.nan) if part in element.attributes else old
                 for part, old in zip("xyz", before.position, strict=True)]
     if math.isnan(position[0]) != math.isnan(position[1]):
         raise found.wrong(element, f"'{key}' has only one of x and y; give both or none")
@@ -219,8 +163,12 @@ def _point(found: _Network, element: Element, observed: bool = False) -> str:
     if element.attributes.keys() & set("xyz") and any(
         not math.isnan(old) and old != new for old, new in zip(before.position, position, strict=True)
     ):
-        raise found.wrong(element, f"'{key}' was given other coordinates in line {found.lines[key]}; two points of one "
-                          "name, or one that moved: give each its own id, or delete one line")
+        twice = found.wrong(element, f"'{key}' was given other coordinates in line {found.lines[key]}; two points of "
+                            "one name, or one that moved: give each its own id, or delete one line")
+        if found.strict or FIXED in (before.plane, before.height):
+            raise twice
+        found.left_out.append(f"Taken as without coordinates: {twice.sentence.removeprefix(f'{found.path}, ')}")
+        position = [math.nan] * 3
     plane, height = before.plane, before.height
     for name in ("fix", "adj"):
         text = element.attributes.get(name, "").strip()
@@ -240,7 +188,7 @@ def _point(found: _Network, element: Element, observed: bool = False) -> str:
 
 
 def _cluster(found: _Network, cluster: Element, allowed: tuple[str, ...]) -> None:
-    _known(found, cluster, ("from", "orientation", "from_dh"))
+    known(found, cluster, ("from", "orientation", "from_dh"))
     records: list[Record] = []
     setting = cluster.attributes.get("from", "")
     if any(child.tag == "direction" for child in cluster.children):
@@ -253,16 +201,21 @@ def _cluster(found: _Network, cluster: Element, allowed: tuple[str, ...]) -> Non
             continue
         if element.tag not in allowed:
             raise found.wrong(element, f"does not belong into <{cluster.tag}>; there are: {', '.join(allowed)}")
-        records += [replace(r, setting=setting) for r in _records(found, element, cluster)]
+        records += [replace(r, setting=setting) for r in _readable(found, element, cluster)]
     missing = [r for r in records if any(u is None for u in r.u)]
     if matrix is None and missing:
         what = "a covariance matrix" if missing[0].kind in ("vector", "coordinates", "plane coordinates", "height") \
             else "a stdev, or its default in <points-observations>"
-        raise InputError(f"{found.path}, line {missing[0].line}: the {missing[0].kind} has no uncertainty; add {what}")
+        if found.strict:
+            raise InputError(f"{found.path}, line {missing[0].line}: the {missing[0].kind} has no uncertainty; add "
+                             f"{what}")
+        found.left_out += [f"Left out: row {r.row}: line {r.line}: the {r.kind} has no uncertainty; add {what}"
+                           for r in missing]
+        records = [r for r in records if None not in r.u]
     covariance = None
     if matrix is not None:
         scale = np.array([s for r in records for s in r.scale])
-        covariance = _banded(found, matrix, len(scale)) * np.outer(scale, scale)
+        covariance = banded(found, matrix, len(scale)) * np.outer(scale, scale)
         # In a system whose axes and circles turn against each other gama-local turns the axis y of all that is read,
         # and leaves the matrices as they stand: their correlations are those with the turned y.
         turned = np.array([found.sense if name in ("y", "dy") else 1.0 for r in records
@@ -274,10 +227,27 @@ def _cluster(found: _Network, cluster: Element, allowed: tuple[str, ...]) -> Non
     found.clusters.append((records, covariance))
 
 
+def _readable(found: _Network, element: Element, cluster: Element) -> list[Record]:
+    """The records of an element; where it cannot be read and need not, a place holder without ends that is left out."""
+    row = found.row
+    try:
+        return list(_records(found, element, cluster))
+    except InputError as error:
+        if found.strict:
+            raise
+        found.row = row + 1
+        found.left_out.append(f"Left out: row {found.row}: {error.sentence.removeprefix(f'{found.path}, ')}")
+        size = sum(part in element.attributes for part in "xyz") if element.tag == "point" else \
+            3 if element.tag == "vec" else 1
+        kind = {1: "height", 2: "plane coordinates", 3: "coordinates"}.get(size, "height")
+        return [Record(kind, ("", "", ""), (math.nan,) * size, (1.0,) * size, (1.0,) * size, "m", (0.0, 0.0), "",
+                       found.row, element.line)]
+
+
 def _records(found: _Network, element: Element, cluster: Element) -> Iterator[Record]:
     if element.tag == "point":
         key = _point(found, element, observed=True)
-        given = {p: _number(found, element, p) for p in "xyz" if p in element.attributes}
+        given = {p: number(found, element, p) for p in "xyz" if p in element.attributes}
         kind = {"xyz": "coordinates", "xy": "plane coordinates", "z": "height"}.get("".join(given), "")
         found.observed[key] = given
         if not kind:
@@ -286,48 +256,48 @@ def _records(found: _Network, element: Element, cluster: Element) -> Iterator[Re
         return
     start = cluster.attributes.get("from", "")
     if element.tag == "vec":
-        _known(found, element, ("from", "to", "dx", "dy", "dz", "from_dh", "to_dh"))
-        values = tuple(_number(found, element, name) for name in ("dx", "dy", "dz"))
-        ends = (_key(found, element, "from"), _key(found, element, "to"), "")
+        known(found, element, ("from", "to", "dx", "dy", "dz", "from_dh", "to_dh"))
+        values = tuple(number(found, element, name) for name in ("dx", "dy", "dz"))
+        ends = (key_of(found, element, "from"), key_of(found, element, "to"), "")
         yield _record(found, element, "vector", ends, values, (None,) * 3, mm, "m")
         return
     kind, names = READINGS[element.tag]
-    _known(found, element, names)
+    known(found, element, names)
     if element.tag == "direction" and not start:
         raise found.wrong(cluster, "holds directions and does not say from which point; add from=...")
     back = ""
     if element.tag == "angle":
-        back, target = _key(found, element, "bs"), _key(found, element, "fs")
+        back, target = key_of(found, element, "bs"), key_of(found, element, "fs")
     else:
-        target = _key(found, element, "to")
-    ends = (_key(found, element, "from", start), target, back)
+        target = key_of(found, element, "to")
+    ends = (key_of(found, element, "from", start), target, back)
     if len({*ends} - {""}) < (3 if back else 2):
         raise found.wrong(element, f"goes from point '{ends[0]}' to itself; correct the ids")
     if element.tag in ("direction", "azimuth", "angle", "z-angle"):
-        value, unit = _angle(found, element)
+        value, unit = angle(found, element)
         scale = CC if unit == "gon" else arcsec
     else:
-        value, unit, scale = _number(found, element, "val"), "m", mm
+        value, unit, scale = number(found, element, "val"), "m", mm
         if "distance" in kind and value <= 0:
             raise found.wrong(element, f"val is {value:g} m; a distance is positive")
     u = _stated(found, element, value)
     yield _record(found, element, kind, ends, (value,), (None if u is None else u * scale,), scale, unit,
-                  _number(found, cluster, "from_dh", 0.0))
+                  number(found, cluster, "from_dh", 0.0))
 
 
 def _record(found: _Network, element: Element, kind: str, ends: tuple[str, str, str], values: tuple[float, ...],
             u: tuple[float | None, ...], scale: float, unit: str, from_dh: float = 0.0) -> Record:
     found.row += 1
-    heights = (_number(found, element, "from_dh", from_dh), _number(found, element, "to_dh", 0.0))
+    heights = (number(found, element, "from_dh", from_dh), number(found, element, "to_dh", 0.0))
     return Record(kind, ends, values, u, (scale,) * len(values), unit, heights, "", found.row, element.line)
 
 
 def _stated(found: _Network, element: Element, value: float) -> float | None:
     """Standard deviation in mm, cc or arcseconds; None where nothing states it."""
     if "stdev" in element.attributes:
-        return _positive(found, element, "stdev", 0.0)
+        return positive(found, element, "stdev", 0.0)
     if element.tag == "dh":
-        return found.sigma * math.sqrt(_positive(found, element, "dist", 0.0)) if "dist" in element.attributes else None
+        return found.sigma * math.sqrt(positive(found, element, "dist", 0.0)) if "dist" in element.attributes else None
     text = found.defaults.get(DEFAULTS[element.tag])
     if text is None:
         return None
@@ -337,28 +307,6 @@ def _stated(found: _Network, element: Element, value: float) -> float | None:
         name = DEFAULTS[element.tag]
         raise found.wrong(element, f"{name}='{text}' is not one to three numbers; correct it") from None
     return constant + per_km * (abs(value) / 1000.0) ** power if "distance" in element.tag else constant
-
-
-def _banded(found: _Network, element: Element, size: int) -> Array:
-    """Symmetric matrix from the rows of its upper band."""
-    dim, band = int(_number(found, element, "dim")), int(_number(found, element, "band"))
-    try:
-        numbers = [float(text) for text in element.text.split()]
-    except ValueError as error:
-        raise found.wrong(element, f"holds what is no number ({error}); correct it") from None
-    if dim != size:
-        raise found.wrong(element, f"has dim={dim} for {size} readings; they must be equal")
-    expected = sum(min(band, dim - 1 - i) + 1 for i in range(dim))
-    if len(numbers) != expected:
-        raise found.wrong(element, f"has {len(numbers)} numbers; dim={dim} and band={band} need {expected}")
-    matrix, taken = np.zeros((dim, dim)), 0
-    for i in range(dim):
-        width = min(band, dim - 1 - i) + 1
-        matrix[i, i : i + width] = matrix[i : i + width, i] = numbers[taken : taken + width]
-        taken += width
-    if np.linalg.eigvalsh(matrix)[0] <= 0:
-        raise found.wrong(element, "is not positive definite; a correlation is wrong, or a variance is zero")
-    return matrix
 
 
 def _taking_part(
@@ -371,6 +319,9 @@ def _taking_part(
         stays = []
         for record in records:
             bad = ""
+            if not record.ends[0]:      # it could not be read, and is remarked already
+                stays.append(False)
+                continue
             for key in filter(None, record.ends):
                 if key not in found.points and strict:
                     near = units.near_matches(key, list(found.points))
