@@ -154,7 +154,7 @@ def _tilts(job: Job, name: str) -> Tilts:
 
 def _frames(table: Table) -> list[RigidFrame]:
     names = table.text("frame")
-    free = table.text("free", may_be_empty=True)
+    free = table.text("free", may_be_empty=True) if table.has("free") else [""] * len(table)
     epochs = table.text("epoch", may_be_empty=True) if table.has("epoch") else [""] * len(table)
     parents = table.text("parent", may_be_empty=True) if table.has("parent") else [""] * len(table)
     place = np.zeros((len(table), 6))
