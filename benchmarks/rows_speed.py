@@ -37,9 +37,8 @@ def first_model(name, rows):
     generator = np.random.default_rng(1)
     inputs = [x * (1 + 1e-9 * generator.uniform(size=rows)) for x in inputs]
     program, symbols = term.traced.program(term.any_free), term.traced.symbols
-    jacobians = [ca.jacobian(term.traced.prediction, s)
-                 for s, want in zip(symbols.local, term.any_free, strict=True) if want]
-    at_rest = ca.substitute([term.traced.prediction, *jacobians], symbols.local,
+    local = [s for s, want in zip(symbols.local, term.any_free, strict=True) if want]
+    at_rest = ca.substitute([term.traced.prediction, *term.traced.derivatives(local)], symbols.local,
                             [ca.SX.zeros(s.shape) for s in symbols.local])
     one = ca.Function("row", [ca.vertcat(*symbols.ambient)], [ca.vertcat(*[ca.densify(ca.vec(e)) for e in at_rest])])
     return program, one, inputs
