@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from calib.analyse.covariance import considered, refuse_what_cannot_be_known
+from calib.blocks import Array
 from calib.errors import DeclarationError
-from calib.linearisation import Linearisation
+from calib.linearisation import Functions, Linearisation
 
 
 @dataclass(frozen=True)
@@ -45,25 +47,32 @@ def budget(fit: Linearisation, what: Any) -> Budget:
             f"a budget is of one scalar; this is {len(functions.labels)}: {', '.join(functions.labels)}. "
             "Ask for one of them by name."
         )
+    return budgets(fit, functions)[0]
+
+
+def budgets(fit: Linearisation, functions: Functions) -> tuple[Budget, ...]:
+    """The budget of each of some functions, in one pass over the rows; arguments and errors as of `budget`."""
     refuse_what_cannot_be_known(fit, functions)
     free = fit.free_part(functions.derivatives)
-    direction = np.zeros(fit.layout.size)
-    direction[fit.layout.free_columns] = fit.factor.solve(free.T)[:, 0]
-    variances: list[tuple[str, float]] = []
+    directions = np.zeros(functions.derivatives.shape)
+    directions[:, fit.layout.free_columns] = fit.factor.solve(free.T).T
+    variances: dict[str, Array] = {}
     for group in fit.groups:
-        total = 0.0
-        for block in group.whitened:
-            total += float(np.sum(block.times(direction) ** 2))
-        if total > 0.0:
-            variances.append((group.name, total))
+        blocks = group.whitened
+        variances[group.name] = np.array([sum(float(np.sum(b.times(one) ** 2)) for b in blocks) for one in directions])
     held = considered(fit)
-    if held.columns:
-        sensitivity = (functions.derivatives[:, list(held.columns)] + free @ held.response)[0]
-        for label, variance in zip(held.labels, sensitivity * (held.covariance @ sensitivity), strict=True):
-            variances.append((f"held {label}", float(variance)))
-    total = sum(v for _, v in variances)
-    lines = tuple(
-        Contribution(label, float(np.sqrt(max(v, 0.0))), v / total if total else 0.0)
-        for label, v in sorted(variances, key=lambda item: -item[1])
-    )
-    return Budget(functions.labels[0], functions.units[0], float(functions.values[0]), float(np.sqrt(total)), lines)
+    sensitivity = functions.derivatives[:, list(held.columns)] + free @ held.response
+    for label, of_each in zip(held.labels, (sensitivity * (sensitivity @ held.covariance)).T, strict=True):
+        variances[f"held {label}"] = of_each
+    return tuple(
+        _budget(functions.labels[k], functions.units[k], float(functions.values[k]),
+                {label: float(of_each[k]) for label, of_each in variances.items()})
+        for k in range(len(directions)))
+
+
+def _budget(name: str, unit: str, value: float, variances: Mapping[str, float]) -> Budget:
+    """A budget from {label: variance}; a group that the result does not depend on has no line."""
+    total = sum(variances.values())
+    lines = tuple(Contribution(label, float(np.sqrt(max(v, 0.0))), v / total)
+                  for label, v in sorted(variances.items(), key=lambda item: -item[1]) if v != 0.0)
+    return Budget(name, unit, value, float(np.sqrt(total)), lines)

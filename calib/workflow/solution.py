@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from calib import units
-from calib.analyse.budget import Budget, budget
+from calib.analyse.budget import Budget, budgets
 from calib.analyse.components import VarianceComponents, variance_components
 from calib.analyse.covariance import Covariance, covariance, of_instances
 from calib.analyse.estimability import Estimability, estimability
@@ -211,12 +211,9 @@ def _weak(problem: Problem, results: Covariance) -> tuple[str, ...]:
 
 def _budgets(fit: Linearisation, wanted: Sequence[Any]) -> tuple[Budget, ...]:
     """The budget of each scalar result, up to a number that somebody would read."""
-    all_of_them = fit.functions(*wanted)
-    scalars = [
-        Functions((label,), (all_of_them.units[i],), all_of_them.values[i : i + 1], all_of_them.derivatives[i : i + 1])
-        for i, label in enumerate(all_of_them.labels[:BUDGETS])
-    ]
-    return tuple(budget(fit, scalar) for scalar in scalars)
+    every = fit.functions(*wanted)
+    return budgets(fit, Functions(every.labels[:BUDGETS], every.units[:BUDGETS], every.values[:BUDGETS],
+                                  every.derivatives[:BUDGETS]))
 
 
 def _coverages(rescaled: Linearisation, components: VarianceComponents, wanted: Sequence[Any]) -> tuple[Coverage, ...]:
