@@ -115,12 +115,12 @@ def reliability(fit: Linearisation, level: float = 0.001, power: float = 0.8, *o
     redundancy, weighed, scale, influences = (
         _one_after_another([p.reshape(p.shape[0] * p.shape[1], *p.shape[2:]) for p in parts])
         for parts in zip(*found, strict=True))
-    controlled = redundancy > INVISIBLE
-    safe = np.where(controlled, scale, 1.0)
-    w = np.where(controlled, weighed / safe, 0.0)
-    mdb = np.where(controlled, bias / safe, np.inf)
-    influence = {label: np.where(controlled, influences[:, k] * np.where(controlled, mdb, 0.0), 0.0)
-                 for k, label in enumerate(labels)}
+    hidden = ~(redundancy > INVISIBLE)
+    weighed[hidden], scale[hidden] = 0.0, 1.0  # in place: of a large network every copy counts
+    w = np.divide(weighed, scale, out=weighed)
+    mdb = np.divide(bias, scale, out=scale)
+    influence = {label: np.where(hidden, 0.0, influences[:, k] * mdb) for k, label in enumerate(labels)}
+    mdb[hidden] = np.inf
     return Reliability(fit.groups, redundancy, w, mdb, influence, level, power)
 
 
