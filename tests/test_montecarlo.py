@@ -226,6 +226,10 @@ def test_a_trial_that_finds_no_solution_is_counted_and_left_out():
     result = montecarlo(solve(problem), 3000, seed=12)
     assert len(result.samples) + result.failures == 3000
     assert result.failures > 500
+    # They are named: a run that stops at the second of them has these two, one trial less has one.
+    assert len(result.failed) == 20
+    assert montecarlo(solve(problem), result.failed[1], seed=12).failed == result.failed[:2]
+    assert montecarlo(solve(problem), result.failed[1] - 1, seed=12).failures == 1
     assert np.all(np.isfinite(result.samples))
 
 

@@ -64,7 +64,8 @@ def montecarlo(
     origin = provenance(sources(read, problem_file), typed(), seed)
     content = {
         "format": 1, "problem": read.problem, "job": read.path.name, "trials": len(found.samples) + found.failures,
-        "failures": found.failures, "seed": seed, **content_of(solution), "quantities": rows,
+        "failures": found.failures, "failed_trials": list(found.failed), "seed": seed, **content_of(solution),
+        "quantities": rows,
         "correlation": {"names": found.names, "matrix": found.correlation} if len(rows) <= CORRELATED else None,
         "stability": None if found.stability is None else {"digits": digits, "reached": found.stability.reached},
         "provenance": origin.content(),
@@ -90,6 +91,10 @@ def montecarlo(
         spread = f"u = {u}, [{low}, {high}] {row['unit']}; linear result: {row['verdict']}" if u else \
             f"{row['unit']}, the same in all trials"
         output.say(f"  {row['name']:<{width}}  {mean}{',' if u else ''} {spread}")
+    if found.failed:
+        output.say()
+        named = ", ".join(map(str, found.failed)) + (" ..." if found.failures > len(found.failed) else "")
+        output.prose(f"Trials that did not converge and are not among the samples: {named}.")
     if found.stability is not None and not found.stability.reached:
         output.say()
         output.prose(f"{content['trials']} trials are not enough for {digits} digit(s) of every u; allow more with "

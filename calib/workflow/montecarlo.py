@@ -18,6 +18,7 @@ from calib.workflow.places import Place, Sampling, Threads
 from calib.workflow.trials import prepared
 
 CHUNK = 100_000  # samples that are correlated at a time
+NAMED = 20  # trials that did not converge whose numbers are kept
 USUAL = 200_000  # trials that stabilise two digits of most results
 
 
@@ -68,7 +69,7 @@ class MonteCarlo:
 
     names, units: of the k results; samples: (trials, k) SI, only trials that converged; failures: trials that did not;
     linear, linear_u: value and u (k,) of the linear propagation at the truth; stability: where the number of trials was
-    chosen adaptively.
+    chosen adaptively; failed: numbers of the first trials that did not converge, from 1.
     """
 
     names: tuple[str, ...]
@@ -78,6 +79,7 @@ class MonteCarlo:
     linear: Array
     linear_u: Array
     stability: Stability | None = None
+    failed: tuple[int, ...] = ()
 
     @property
     def mean(self) -> Array:
@@ -142,16 +144,19 @@ def montecarlo(
     sampling = Sampling(ready, truth, expected, seed, limit)
     watch = _Watch(trials) if isinstance(trials, Adaptive) else None
     done, failures, samples = 0, 0, []
+    failed: list[int] = []
     for found, good in (place or Threads()).blocks(sampling):
         samples.append(found if good.all() else found[good])
         failures += int(np.sum(~good))
+        failed += (done + 1 + np.flatnonzero(~good)).tolist()[: NAMED - len(failed)]
         done += len(good)
         progress(done)
         if watch is not None and watch.stands(samples[-1]):
             break
     stability = None if watch is None else watch.stability
     return MonteCarlo(
-        linear.names, linear.units, np.concatenate(samples), failures, linear.values, linear.u, stability
+        linear.names, linear.units, np.concatenate(samples), failures, linear.values, linear.u, stability,
+        tuple(failed),
     )
 
 
