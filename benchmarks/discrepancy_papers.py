@@ -25,7 +25,8 @@ from calib.table import shipped
 from calib.units import arcsec, minute, mm, um
 from calib.workflow.discrepancy.power import detectable
 from problems import axis_points, base_point, plumb, positioning
-from problems.base_point import LENGTHENING, SHORTENING, FreeStart, TiedStart, paper
+from problems.base_point import LENGTHENING, SHORTENING, FreeStart, TiedStart
+from problems.base_point import paper as tables_of_2007
 from problems.base_point.lines import Lines
 from problems.five_axis import jobs
 from problems.five_axis.readings import Circle, Readings, published
@@ -117,14 +118,14 @@ def base_points() -> Iterator[Case]:
     yield Case(paper, "table 1, simulation on one line", with_what_acts(one, base_point.effects()),
                "made by the paper without any effect, u = 1 um")
     for column, words in (("d", "digits repaired"), ("d_printed", "as printed")):
-        for zero, start in ((TiedStart(paper.ZERO_POINT), "start tied"),
-                            (FreeStart(paper.ZERO_POINT), "start free")):
+        for zero, start in ((TiedStart(tables_of_2007.ZERO_POINT), "start tied"),
+                            (FreeStart(tables_of_2007.ZERO_POINT), "start free")):
             yield Case(paper, f"table 2, {start}, {words}", experiment(column, zero), "no u is printed: 1 um")
 
 
 def experiment(column: str, zero: base_point.Zero) -> Problem:
     """Table 2 with what can be said of its rows: order of the lines (an even pace assumed), line, travel on it."""
-    lines = paper.experiment(column)
+    lines = tables_of_2007.experiment(column)
     line = shipped("base_point/table2_experiment.csv").text("line")
     travel = np.where(line == "X", lines.points[:, 0], lines.points[:, 1])
     lines = replace(lines, covariates={"line": line, "travel": (travel, "mm"), "block": 1 + (line == "Y"),
@@ -180,7 +181,7 @@ def size_p(found: Any) -> float:
 
 def correlation_of_table_2(seed: int = 1) -> dict[str, Any]:
     """Looks at what stays from reading to reading with the start free: how rare, and what shape explains it."""
-    problem = experiment("d", FreeStart(paper.ZERO_POINT))
+    problem = experiment("d", FreeStart(tables_of_2007.ZERO_POINT))
     estimate = solve(problem)
     fit = linearise(estimate)
     field = field_of(fit, ())
@@ -249,7 +250,7 @@ def figure_of_table_2() -> Any:
     from matplotlib.figure import Figure
 
     matplotlib.rcParams["svg.hashsalt"] = "table 2"  # the same file from the same numbers
-    problem = experiment("d", FreeStart(paper.ZERO_POINT))
+    problem = experiment("d", FreeStart(tables_of_2007.ZERO_POINT))
     observed, residual = problem.observations[0], solve(problem).residuals
     line, travel = observed.covariates["line"], np.asarray(observed.covariates["travel"], float) / mm
     left = residual[observed.group][:, 0] / um
