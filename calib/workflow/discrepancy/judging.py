@@ -176,7 +176,7 @@ def shapeless(scene: Scene, best: Account) -> tuple[Place, ...]:
         rivals.append((_left(scene, replace(best.finding, blunders=())), best.score))
     for one, score in rivals:
         own, size = running(one, scene.channels)
-        if own + ADVANTAGE < score:
+        if own < score:
             return (Place("all readings", "time", RUN, upper_tail(one), {"rms_over_u": size}),)
     return ()
 

@@ -200,8 +200,9 @@ def running(left: Field, channels: Sequence[Channel]) -> tuple[float, float]:
 
     together = np.column_stack([left.basis, left.residual])
     products, best = together.T @ together, (np.inf, 0.0)
-    ways = sequences(channels)
-    for way in ways.values():
+    ways = list(sequences(channels).values())
+    ways += [[one] for way in ways if len(way) > 1 for one in way]  # it may be in one channel or target alone
+    for way in ways:
         inside = together[np.concatenate(way)]
         since = np.concatenate([np.arange(len(one)) for one in way])  # places since the beginning of a sequence
         for order, c in product((1, 2), LASTING):
