@@ -27,9 +27,13 @@ SCALE_LEVEL = 0.002  # at which the stated noise is given up for the one that is
 
 @dataclass(frozen=True)
 class Shares:
-    """How the probability of a false alarm is shared among the kinds of finding."""
+    """How the probability of a false alarm is shared among the kinds of finding.
 
-    effects: float = 0.65
+    The sum is 1.05: looks at one set of residuals overlap, and with a sum of 1 eleven of 1,400 clean cases gave an
+    alarm at a level of 1 %.
+    """
+
+    effects: float = 0.70
     blunders: float = 0.03
     structure: float = 0.10
     noise: float = 0.22
@@ -178,7 +182,8 @@ def _near(effects: list[int], visible: Sequence[int]) -> list[list[int]]:
     rests += [[e for e in effects if e not in pair] for pair in combinations(effects, 2)]
     if len(effects) < MOST_EFFECTS:
         rests.append(effects)
-    return [*rests[: len(effects)], *([*rest, new] for rest in rests for new in fresh)]
+    fewer = [rest for rest in rests[: len(effects)] if rest]  # whether there is any at all is a matter of significance
+    return [*fewer, *([*rest, new] for rest in rests for new in fresh)]
 
 
 def _far(
