@@ -24,6 +24,8 @@ COLUMNS = ("first", "second", "point", "dx_mm", "dy_mm", "dz_mm", "u_dx_mm", "u_
            "ellipse95_b_mm", "ellipse_bearing_gon", "p_value", "p_value_of_all", "detectable_mm", "moved")
 PLANE_95 = 2.4477468       # root of the 95 % quantile of chi-squared with 2 degrees of freedom
 LONGEST = 0.18             # of the width of the picture: the longest arrow
+FAR = 20.0                 # times the median size of a shift or ellipse, beyond which an arrow is cut
+HEAD = 0.012               # of the width of the picture: the shortest arrow with a head
 LISTED = 30                # points in a sentence
 DOUBTFUL = 0.001           # probability of an epoch's scatter below which a comparison is warned of
 
@@ -167,17 +169,18 @@ def _epochs(one: EpochComparison) -> Grid:
 
 def _drawings(one: EpochComparison, number: int) -> Iterator[Drawing]:
     found = one.found
-    if {"x", "y"} <= set(found.parts):
-        figure, times = _plan(one)
+    if {"x", "y"} <= set(found.parts) and np.isfinite(found.shift[:, :2]).all(axis=1).any():
+        figure, times, cut = _plan(one)
         yield Drawing.of(figure, f"plan {number}", f"Shifts in plan, {numbers.plain(times, 3)} times enlarged, with "
                          "their ellipses of 95 %; points that moved in the colour of warnings. "
+                         + ("Dotted arrows are cut: these points moved much further. " if cut else "")
                          + ("x up, y to the right." if one.mirrored else "x to the right, y up."))
     if "z" in found.parts:
         yield Drawing.of(_heights(found), f"heights {number}", "Shifts in height with U (k = 2).")
 
 
-def _plan(one: EpochComparison) -> tuple[Figure, float]:
-    """Points, shifts and ellipses in plan, and how many times the shifts are enlarged."""
+def _plan(one: EpochComparison) -> tuple[Figure, float, bool]:
+    """Points, shifts and ellipses in plan, how many times the shifts are enlarged, and whether any is cut."""
     from matplotlib.patches import Ellipse
 
     found = one.found
@@ -186,28 +189,34 @@ def _plan(one: EpochComparison) -> tuple[Figure, float]:
     places, shift = one.places[there][:, order], found.shift[there][:, order]
     extent = float(np.ptp(places, axis=0).max(initial=0.0)) or 1.0
     axes_of = [np.linalg.eigh(found.covariance[i][np.ix_(order, order)]) for i in there]
-    longest = max([float(np.hypot(*one_shift)) for one_shift in shift]
-                  + [PLANE_95 * float(np.sqrt(max(values[1], 0.0))) for values, _ in axes_of], default=0.0)
+    lengths = np.hypot(*shift.T)
+    sizes = np.maximum(lengths, [PLANE_95 * float(np.sqrt(max(values[1], 0.0))) for values, _ in axes_of])
+    # What was set up anew may have moved by metres: its arrow is cut, so that the others can be seen.
+    longest = float(sizes[sizes <= FAR * np.median(sizes)].max(initial=0.0))
     times = _round(LONGEST * extent / longest) if longest > 0 else 1.0
+    cut = np.minimum(1.0, longest / np.maximum(lengths, longest)) if longest > 0 else np.ones(len(there))
     figure, axes = plots.canvas(min(9.0, max(3.0, 6.4 * float(np.ptp(places[:, 1])) / extent + 1.4)))
-    for place, step, (values, vectors), i in zip(places, shift, axes_of, there):
+    for place, step, (values, vectors), i, part in zip(places, shift, axes_of, there, cut):
         moved = found.points[i] in found.moved
         colour = plots.WARNING if moved else plots.SERIES[0]
-        end = place + times * step
+        end = place + times * part * step
         axes.plot(*place, marker="o", color=plots.INK, markersize=3)
         axes.annotate("", xy=tuple(end), xytext=tuple(place),
-                      arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.6 if moved else 1.0,
-                                  "shrinkA": 0, "shrinkB": 0})
+                      arrowprops={"arrowstyle": "-|>" if times * part * np.hypot(*step) > HEAD * extent else "-",
+                                  "color": colour, "linewidth": 1.6 if moved else 1.0,
+                                  "linestyle": "-" if part == 1.0 else ":", "shrinkA": 0, "shrinkB": 0})
         semi = 2.0 * times * PLANE_95 * np.sqrt(np.maximum(values, 0.0))
         turn = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
-        axes.add_patch(Ellipse(tuple(end), semi[1], semi[0], angle=turn, fill=False, edgecolor=colour, linewidth=0.9))
+        if part == 1.0:
+            axes.add_patch(Ellipse(tuple(end), semi[1], semi[0], angle=turn, fill=False, edgecolor=colour,
+                                   linewidth=0.9))
         axes.annotate(plots.worded(found.points[i]), xy=tuple(place), xytext=(5, 5), textcoords="offset points",
                       fontsize=8, color=plots.INK)
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.12)
     axes.set_xlabel("y / m" if one.mirrored else "x / m")
     axes.set_ylabel("x / m" if one.mirrored else "y / m")
-    return figure, times
+    return figure, times, bool((cut < 1.0).any())
 
 
 def _round(value: float) -> float:
