@@ -97,7 +97,8 @@ def test_the_untouched_case_is_consistent(discover, case):
 @pytest.mark.parametrize(("name", "change", "words"), [
     ("case.toml", lambda text: text.replace("level_plumb", "level_plum"), ["level_plum", "there is no problem"]),
     ("case.toml", lambda text: "", ["case.toml", "format"]),
-    ("case.toml", lambda text: text.replace("format = 1", "format = 7"), ["line 1", "'format': is 7", "reads format 1"]),
+    ("case.toml", lambda text: text.replace("format = 1", "format = 7"), ["line 1", "'format': is 7",
+                                                                                   "reads format 1"]),
     ("case.toml", lambda text: text.replace("sigma_arcsec = 0.2", ""), ["instruments.level", "is missing"]),
     ("case.toml", lambda text: text.replace("arcsec = 0.2", "arcsec = 0.0"), ["standard uncertainty", "is 0"]),
     ("measurements.csv", lambda text: "", ["is empty", "header"]),
