@@ -105,8 +105,8 @@ def test_the_untouched_case_is_consistent(discover, case):
     ("measurements.csv", lambda text: HEADER + "\n", ["no rows"]),
     ("measurements.csv", lambda text: text.replace("angle_deg", "bearing_deg"), ["'angle' is missing", "bearing_deg"]),
     ("measurements.csv", lambda text: text.replace(".", ";"), ["line 2", "angle_deg"]),
-], ids=["unknown scenario", "empty case file", "later format", "no sigma", "sigma of zero", "empty table", "header alone",
-        "column missing", "decimal sign"])
+], ids=["unknown scenario", "empty case file", "later format", "no sigma", "sigma of zero", "empty table",
+        "header alone", "column missing", "decimal sign"])
 def test_what_cannot_be_used_is_said_with_its_place_and_nothing_is_written(
     discover, case, tmp_path, name, change, words
 ):
