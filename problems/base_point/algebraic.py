@@ -6,6 +6,7 @@ and the last bracket. A length is positive, so the sign of `sense L` is the coun
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,19 +86,23 @@ def begin(points: Array, readings: Array, zeroing: NDArray, sense: float, *, app
     Raises InputError where the readings contradict the sense or all points stand at one position.
     """
     groups = [np.flatnonzero(zeroing == k) for k in range(int(zeroing.max()) + 1)]
-    for i in groups if not absolute else ():
-        if approximate is None:
-            _check_sense(points[i], readings[i], sense, name)
-        else:
-            _check_sense_about(np.linalg.norm(points[i] - approximate, axis=1), readings[i], sense, name)
+    if not absolute and approximate is not None:
+        _check_sense_about(np.linalg.norm(points - approximate, axis=1), readings, groups, sense, name)
+    for i in groups if not absolute and approximate is None else ():
+        _check_sense(points[i], readings[i], sense, name)
     base = _base_point(points, readings, groups, absolute) if approximate is None else np.asarray(approximate, float)
     excess = np.linalg.norm(points - base, axis=1) - sense * readings
     return Begin(base, np.array([0.0 if absolute else excess[i].mean() for i in groups]))
 
 
-def _check_sense_about(path: Array, readings: Array, sense: float, name: str) -> None:
-    """Refuse a counting sense with which the readings (n,) run against the paths (n,) to an approximate base point."""
-    change, read = path - path.mean(), readings - readings.mean()
+def _check_sense_about(
+    path: Array, readings: Array, groups: Sequence[NDArray[np.int64]], sense: float, name: str
+) -> None:
+    """Refuse a counting sense with which the readings (n,) run against the paths (n,) to an approximate base point.
+
+    All zeroings together: along a short line across the path an approximate point may have the sign wrong.
+    """
+    change, read = (np.concatenate([one[i] - one[i].mean() for i in groups]) for one in (path, readings))
     if change @ read * np.sign(sense) < -0.9 * np.linalg.norm(change) * np.linalg.norm(read):
         is_now, should = _senses(sense)
         raise InputError(f"{name}: wrong counting sense: counts = \"{is_now}\", but the readings fall where the path "
