@@ -198,3 +198,9 @@ def test_readings_in_another_unit_than_their_column_says_are_named(tmp_path, cap
     path.write_text(re.sub("reading_(m|deg)", wrong, path.read_text()))
     answer = calib("solve", tmp_path / "job.toml")
     assert words in " ".join((answer.out + answer.error).split())
+
+
+def test_a_fixed_point_without_coordinates_is_named_and_not_placed_by_its_readings(tmp_path):
+    message = refused(tmp_path, gkf(square(fixed="AB") + point("E", 'fix="xy"'),
+                                    distances((*SIDES, ("A", "E", 70.7), ("B", "E", 70.7)))))
+    assert "point 'E' is fixed and has no x and no y; give its coordinates, or let it be adjusted" in message

@@ -33,6 +33,7 @@ def checked(survey: Survey) -> Survey:
     """
     survey = _without_unread(_with_frames_read(survey))
     _apart(survey)
+    _somewhere(survey)
     _joined(survey)
     _enough(survey)
     _frames_read(survey)
@@ -134,6 +135,17 @@ def _apart(survey: Survey) -> None:
             for row in np.flatnonzero(batch.ends[0] == other)[:1]:
                 raise InputError(f"row {batch.numbers[row]} of '{batch.group or batch.kind}' reads point "
                                  f"'{other[row]}' from itself; correct one of the two names, or take the row out")
+
+
+def _somewhere(survey: Survey) -> None:
+    """What is fixed has coordinates."""
+    read = survey.read
+    for key, point in survey.points.items():
+        missing = [part for part in survey.parts
+                   if point.role(part) == FIXED and np.isnan(point.position["xyz".index(part)])]
+        if missing and key in read:
+            raise Lacking(f"point '{key}' is fixed and has no {' and no '.join(missing)}; give its coordinates, or let "
+                          "it be adjusted", everywhere(survey, [key]))
 
 
 def _joined(survey: Survey) -> None:
