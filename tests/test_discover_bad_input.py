@@ -191,3 +191,11 @@ def test_a_fit_that_stops_half_way_is_said_and_names_what_to_do():
                                     readings=np.linspace(3, 9, 20), u=1e-9)])
     with pytest.raises(CalibrationError, match="does not converge"):
         calib.explain(problem)
+
+
+def test_readings_in_another_unit_are_answered_with_the_advice_to_look_at_the_columns(discover, case):
+    place = HEADER.split(",").index("reading_arcsec")
+    ran = discover(rows_changed(case, lambda i, cells: [*cells[:place], str(3600 * float(cells[place]) + i % 7 * 900)]),
+                   "--json")
+    assert ran.status == 0
+    assert any("check units, signs and order of the columns" in remark for remark in json.loads(ran.out)["remarks"])

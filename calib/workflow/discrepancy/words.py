@@ -27,6 +27,7 @@ SHAPES = {LEVEL: "a constant for each", "trend": "a trend over", "curve": "a cur
 INFLUENCES = {"time": "time (drifts)", "temperature_difference": "temperature (thermal effects)",
               "block": "block (steps between set-ups)"}  # what any reading may be recorded with, and what it shows
 FEW_SPARE = 5  # degrees of freedom below which hardly anything can be found
+GROSS = 1000.0  # u from which on a misfit is a wrong column rather than a missing effect
 
 
 def plausibility(one: Candidate, values: Array) -> str:
@@ -150,6 +151,10 @@ def unseen(scene: Scene) -> list[Candidate]:
 def remarks_on(scene: Scene) -> tuple[str, ...]:
     """What these readings cannot judge: too little to spare, influences that never vary, effects that never show."""
     found = []
+    misfit = float(np.sqrt(scene.field.squares / max(scene.field.dof, 1)))
+    if misfit > GROSS:
+        found.append(f"The readings lie {misfit:.2g} times their uncertainty off the model (root mean square), more "
+                     "than any effect does: check units, signs and order of the columns first.")
     if scene.field.dof < FEW_SPARE:
         found.append(f"Only {scene.field.dof} reading(s) more than unknowns: hardly anything could be found. Read "
                      "further positions, or the same ones again.")
