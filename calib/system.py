@@ -46,9 +46,9 @@ class _Feed:
 
     def raw(self, values: Values) -> tuple[Array, Index | None]:
         """As they are stored, with the instance of each row where there are several."""
-        if self.unknown is None:
-            return np.ascontiguousarray(self.data), None
-        return np.ascontiguousarray(values[self.unknown]), self.index if self.unknown.count > 1 else None
+        numbers = np.ascontiguousarray(self.data if self.unknown is None else values[self.unknown])
+        several = self.unknown is not None and self.unknown.count > 1
+        return numbers, np.ascontiguousarray(self.index) if several else None  # which may repeat one number
 
 
 class Term(Generic[B]):

@@ -21,6 +21,7 @@ from calib import (
     estimability,
     linearisation,
     linearise,
+    predict,
     prior,
     reliability,
     solve,
@@ -181,6 +182,23 @@ def test_compiled_loops_give_the_factor_of_numpy(case, thin, monkeypatch, tmp_pa
     one, other = found["numpy"][-1], found["compiled"][-1]
     assert other.certificate.passed
     assert other.objective == pytest.approx(one.objective, rel=1e-9)
+
+
+@pytest.mark.skipif(not available(), reason="llvmlite is not installed")
+def test_one_instance_for_all_rows_and_every_other_number_of_a_list_are_read_by_compiled_loops(monkeypatch):
+    monkeypatch.setattr(elimination, "DENSE_SIZE", 1)
+    problem, _, point = network(4, 15, 6)
+    others = np.repeat([0, 1, 2, 3, 8, 9], 2)[::2]
+    place = point.ambient
+    spokes = Observations(lambda a, b: ca.norm_2(a - b), point[4], point[others], group="spokes", u=1e-5,
+                          readings=np.linalg.norm(place[others] - place[4], axis=1))
+    found = {}
+    for name in ("numpy", "compiled"):
+        with row_back_end(name):
+            estimate = solve(problem.with_observations(spokes))
+            found[name] = [estimate[point], predict(problem.with_observations(spokes))["spokes"]]
+    assert np.abs(found["numpy"][0] - found["compiled"][0]).max() < 1e-9
+    np.testing.assert_allclose(found["compiled"][1], found["numpy"][1], rtol=1e-14)
 
 
 @pytest.mark.skipif(not available(), reason="llvmlite is not installed")

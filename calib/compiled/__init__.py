@@ -180,6 +180,9 @@ def sparse_loop(kind: Callable[[int], str], numbers: Sequence[int], arrays: Mapp
 
 
 def _address(array: Array) -> int:
+    # a loop would read what is not its own
+    if array.size and array.shape[-1] > 1 and array.strides[-1] != array.itemsize:
+        raise ValueError(f"an array of {array.shape} has rows that do not lie one number beside the other.")
     return int(array.__array_interface__["data"][0])
 
 
