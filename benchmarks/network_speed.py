@@ -186,7 +186,8 @@ def parsed(case: str) -> tuple[int, int, int | None]:
 
 def in_a_process(case: str, way: str, folder: Path, python: str = sys.executable) -> dict[str, float]:
     """`measured`, in a process of its own with one thread."""
-    one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "CALIB_THREADS": "1"}
+    one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "CALIB_THREADS": "1",
+                  "PYTHONPATH": str(Path(__file__).resolve().parent.parent)}     # for a peer in a place of its own
     found = subprocess.run([python, __file__, "--measure", case, way, str(folder / f"{way}.npz")],
                            env={**os.environ, **one_thread}, check=True, capture_output=True, text=True)
     return json.loads(found.stdout.splitlines()[-1])
