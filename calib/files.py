@@ -172,6 +172,20 @@ def read_json(path: str | os.PathLike[str]) -> Any:
         raise InputError(f"{path}: is not JSON ({error}); write it again with the program that made it") from error
 
 
+def distinct_names(paths: Sequence[Path]) -> list[str]:
+    """The names of files, with as many of the folders above as it takes to tell different files apart.
+
+    paths: of the files. Returns a name for each, such as "job.toml", or "first/job.toml" beside "second/job.toml".
+    """
+    whole = [path.resolve().parts[1:] for path in paths]
+    names = []
+    for parts in whole:
+        others = [other for other in whole if other != parts]
+        depth = next((k for k in range(1, len(parts)) if all(other[-k:] != parts[-k:] for other in others)), len(parts))
+        names.append("/".join(parts[-depth:]))
+    return names
+
+
 def sha256(*paths: str | os.PathLike[str]) -> str:
     """One hash over the content of files, in the order given.
 

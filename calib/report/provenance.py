@@ -55,13 +55,14 @@ def provenance(data: Sequence[Path], command: str, seed: int | None = None) -> P
     """The provenance of a result made now.
 
     data: job and data files; command: as typed; seed: of random numbers, None where none were drawn.
-    return: the provenance; data files by name, without the folders of this machine.
+    return: the provenance; data files by name, with no more folders of this machine than tell them apart.
     raises InputError where a file cannot be read.
     """
     libraries = {name: importlib.metadata.version(name) for name in ("casadi", "numpy", "scipy")}
     return Provenance(
         version(), f"{platform.python_implementation()} {sys.version.split()[0]}", libraries, command,
-        {path.name: files.sha256(path) for path in data}, files.sha256(*data) if data else None, seed,
+        dict(zip(files.distinct_names(data), map(files.sha256, data), strict=True)),
+        files.sha256(*data) if data else None, seed,
     )
 
 

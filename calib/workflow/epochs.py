@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
 
+from calib import files
 from calib.analyse.congruence import Congruence
 from calib.blocks import Array
 from calib.errors import InputError
@@ -55,7 +56,8 @@ def epochs_of(jobs: Sequence[Job], module: ModuleType) -> list[tuple[str, Job]]:
     for job in jobs:
         if job.priors:
             raise InputError(f"{job.path}: has [[priors]]; epochs are compared by their readings alone. Take them out")
-    found = [(job.path.stem, job) for job in jobs]
+    names = files.distinct_names([job.path.with_suffix("") for job in jobs])
+    found = list(zip(names, jobs, strict=True))
     if len(jobs) == 1:
         found = list(module.by_epoch(jobs[0]))
     several = [job for job in jobs if len(jobs) > 1 and len(list(module.by_epoch(job))) > 1]
