@@ -10,11 +10,12 @@ import numpy as np
 
 from calib import files
 from calib.analyse.congruence import POWER, Congruence
+from calib.analyse.ellipse import PLANE_95, ellipse
 from calib.report import numbers, plots
 from calib.report.provenance import Provenance
 from calib.report.template import Cell, Drawing, Grid, render
 from calib.solve.estimate import Estimate
-from calib.units import mm
+from calib.units import gon, mm
 from calib.workflow.epochs import EpochComparison
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 COLUMNS = ("first", "second", "point", "dx_mm", "dy_mm", "dz_mm", "u_dx_mm", "u_dy_mm", "u_dz_mm", "ellipse95_a_mm",
            "ellipse95_b_mm", "ellipse_bearing_gon", "p_value", "p_value_of_all", "detectable_mm", "moved")
-PLANE_95 = 2.4477468       # root of the 95 % quantile of chi-squared with 2 degrees of freedom
 LONGEST = 0.18             # of the width of the picture: the longest arrow
 FAR = 20.0                 # times the median size of a shift or ellipse, beyond which an arrow is cut
 HEAD = 0.012               # of the width of the picture: the shortest arrow with a head
@@ -98,9 +98,8 @@ def _ellipse(found: Congruence, i: int) -> list[float | None]:
     """Semi-axes [mm] of the ellipse of 95 % of a shift in plan, and the bearing of the longer one from x to y [gon]."""
     if not {"x", "y"} <= set(found.parts) or not np.isfinite(found.shift[i, :2]).all():
         return [None, None, None]
-    values, axes = np.linalg.eigh(found.covariance[i][:2, :2])
-    semi = PLANE_95 * np.sqrt(np.maximum(values, 0.0)) / mm
-    return [float(semi[1]), float(semi[0]), float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])) % 180.0 / 0.9)]
+    own = ellipse(found.covariance[i][:2, :2])
+    return [PLANE_95 * own.major / mm, PLANE_95 * own.minor / mm, own.bearing / gon]
 
 
 # --- the page ---------------------------------------------------------------------------------------------------------
@@ -188,15 +187,15 @@ def _plan(one: EpochComparison) -> tuple[Figure, float, bool]:
     there = np.flatnonzero(np.isfinite(one.places[:, :2]).all(axis=1) & np.isfinite(found.shift[:, :2]).all(axis=1))
     places, shift = one.places[there][:, order], found.shift[there][:, order]
     extent = float(np.ptp(places, axis=0).max(initial=0.0)) or 1.0
-    axes_of = [np.linalg.eigh(found.covariance[i][np.ix_(order, order)]) for i in there]
+    ellipses = [ellipse(found.covariance[i][np.ix_(order, order)]) for i in there]
     lengths = np.hypot(*shift.T)
-    sizes = np.maximum(lengths, [PLANE_95 * float(np.sqrt(max(values[1], 0.0))) for values, _ in axes_of])
+    sizes = np.maximum(lengths, [PLANE_95 * own.major for own in ellipses])
     # What was set up anew may have moved by metres: its arrow is cut, so that the others can be seen.
     longest = float(sizes[sizes <= FAR * np.median(sizes)].max(initial=0.0))
     times = _round(LONGEST * extent / longest) if longest > 0 else 1.0
     cut = np.minimum(1.0, longest / np.maximum(lengths, longest)) if longest > 0 else np.ones(len(there))
     figure, axes = plots.canvas(min(9.0, max(3.0, 6.4 * float(np.ptp(places[:, 1])) / extent + 1.4)))
-    for place, step, (values, vectors), i, part in zip(places, shift, axes_of, there, cut):
+    for place, step, own, i, part in zip(places, shift, ellipses, there, cut):
         moved = found.points[i] in found.moved
         colour = plots.WARNING if moved else plots.SERIES[0]
         end = place + times * part * step
@@ -205,11 +204,10 @@ def _plan(one: EpochComparison) -> tuple[Figure, float, bool]:
                       arrowprops={"arrowstyle": "-|>" if times * part * np.hypot(*step) > HEAD * extent else "-",
                                   "color": colour, "linewidth": 1.6 if moved else 1.0,
                                   "linestyle": "-" if part == 1.0 else ":", "shrinkA": 0, "shrinkB": 0})
-        semi = 2.0 * times * PLANE_95 * np.sqrt(np.maximum(values, 0.0))
-        turn = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
         if part == 1.0:
-            axes.add_patch(Ellipse(tuple(end), semi[1], semi[0], angle=turn, fill=False, edgecolor=colour,
-                                   linewidth=0.9))
+            width, height = (2.0 * times * PLANE_95 * semi for semi in (own.major, own.minor))
+            axes.add_patch(Ellipse(tuple(end), width, height, angle=float(np.degrees(own.bearing)), fill=False,
+                                   edgecolor=colour, linewidth=0.9))
         axes.annotate(plots.worded(found.points[i]), xy=tuple(place), xytext=(5, 5), textcoords="offset points",
                       fontsize=8, color=plots.INK)
     axes.set_aspect("equal", adjustable="datalim")

@@ -11,10 +11,10 @@ import numpy as np
 
 from calib import Linearisation
 from calib.analyse.covariance import of_instances
+from calib.analyse.ellipse import PLANE_95, SPACE_95, ellipse
 from calib.units import gon, mm
 
 MOST = 2000                              # points whose ellipses are computed
-PLANE_95, SPACE_95 = 2.4477468, 2.7954835    # roots of the 95 % quantiles of chi-squared with 2 and 3 dof
 
 
 def result_tables(fit: Linearisation) -> dict[str, list[dict[str, Any]]]:
@@ -48,11 +48,9 @@ def _figures(matrix: np.ndarray, free: str, parts: tuple[str, ...]) -> dict[str,
     found: dict[str, float] = {}
     if "x" in free and "y" in free:
         plan = [parts.index("x"), parts.index("y")]
-        lengths, axes = np.linalg.eigh(matrix[np.ix_(plan, plan)])
-        semi = np.sqrt(np.maximum(lengths, 0.0))
-        bearing = float(np.arctan2(axes[1, 1], axes[0, 1]) % np.pi) / gon
-        found |= {"ellipse_a_mm": semi[1], "ellipse_b_mm": semi[0], "ellipse_bearing_gon": bearing,
-                  "ellipse95_a_mm": PLANE_95 * semi[1], "ellipse95_b_mm": PLANE_95 * semi[0]}
+        own = ellipse(matrix[np.ix_(plan, plan)])
+        found |= {"ellipse_a_mm": own.major, "ellipse_b_mm": own.minor, "ellipse_bearing_gon": own.bearing / gon,
+                  "ellipse95_a_mm": PLANE_95 * own.major, "ellipse95_b_mm": PLANE_95 * own.minor}
     if free == "xyz":
         semi = np.sqrt(np.maximum(np.linalg.eigvalsh(matrix), 0.0))[::-1]
         found |= {f"ellipsoid_{name}_mm": one for name, one in zip("abc", semi)}
