@@ -88,5 +88,4 @@ def test_probes_give_the_traces_of_many_readings():
     fit = linearise(solve(two_groups(3, n=(400, 250))))
     variance = np.array([0.5, 2.0])
     whole, passing = ByMatrices(fit, [["fine"], ["coarse"]]), ByPasses(fit, [["fine"], ["coarse"]])
-    whole.at(variance)
     assert passing.taken(variance) == pytest.approx(whole.taken(variance), rel=0.5)     # rank one: 64 probes, 18 %

@@ -92,4 +92,3 @@ def variance_components(
         1 / spread,
         redundancy,
     )
-

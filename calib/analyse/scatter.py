@@ -34,20 +34,26 @@ class ByMatrices:
         sums = [_sums(fit, groups) for groups in (*sets, rest)]
         self.normals, self.pulls, self.squares, self.sizes = zip(*sums, strict=True)
 
+    def _inverse(self, variance: Array) -> tuple[Array, Array]:
+        """Weights of all sets and the covariance at variances (sets,)."""
+        weights = np.append(1 / variance, 1.0)
+        return weights, _pseudo_inverse(sum(w * n for w, n in zip(weights, self.normals, strict=True)))
+
     def at(self, variance: Array) -> tuple[Array, Array]:
         """Redundancy of each set, and its sum of squares in stated uncertainties, at variances (sets,) of them."""
-        weights = np.append(1 / variance, 1.0)
-        inverse = _pseudo_inverse(sum(w * n for w, n in zip(weights, self.normals, strict=True)))
+        weights, inverse = self._inverse(variance)
         shift = inverse @ sum(w * p for w, p in zip(weights, self.pulls, strict=True))
-        self._shares = [w * inverse @ n for w, n in zip(weights, self.normals, strict=True)][:-1]
-        redundancy = np.array([size - np.trace(s) for size, s in zip(self.sizes, self._shares, strict=False)])
+        shares = [w * np.sum(inverse * n) for w, n in zip(weights, self.normals, strict=True)]
+        redundancy = np.array(self.sizes)[:-1] - shares[:-1]
         left = [s - 2 * shift @ p + shift @ n @ shift
                 for s, p, n in zip(self.squares, self.pulls, self.normals, strict=True)]
         return redundancy, np.array(left[:-1])
 
     def taken(self, variance: Array) -> Array:
-        """tr(C N_a C N_b) of the normal matrices N of each two sets, C the covariance, where `at` was last asked."""
-        return np.array([[np.trace(a @ b) for b in self._shares] for a in self._shares])
+        """tr(C N_a C N_b) of the normal matrices N of each two sets, C the covariance at variances (sets,)."""
+        weights, inverse = self._inverse(variance)
+        shares = [w * inverse @ n for w, n in zip(weights, self.normals, strict=True)][:-1]
+        return np.array([[np.sum(a * b.T) for b in shares] for a in shares])
 
 
 class ByPasses:

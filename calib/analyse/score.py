@@ -169,11 +169,15 @@ class Field:
             self.sizes,
         )
 
-    def without(self, places: Sequence[int]) -> Field:
-        """The field without some of the readings: each of them is one direction that is taken."""
+    def alone(self, places: Sequence[int]) -> Array:
+        """What an error of each of some readings alone would show in the residuals (n, k)."""
         unit = np.zeros((len(self.residual), len(places)))
         unit[list(places), np.arange(len(places))] = 1.0
-        return self.taking(orthonormal(self.outside(unit), np.ones(len(places)))) if len(places) else self
+        return self.outside(unit)
+
+    def without(self, places: Sequence[int]) -> Field:
+        """The field without some of the readings: each of them is one direction that is taken."""
+        return self.taking(orthonormal(self.alone(places), np.ones(len(places)))) if len(places) else self
 
     def draw(self, seed: int, count: int) -> Array:
         """Residuals (n, count) as they would be if nothing but the stated noise were there, the same for a seed."""

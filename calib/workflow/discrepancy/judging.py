@@ -104,9 +104,7 @@ def _smallness(scene: Scene, finding: Finding) -> float:
     if not finding.blunders:
         return 0.0
     beside = _left(scene, replace(finding, blunders=()))
-    units = np.zeros((len(beside.residual), len(finding.blunders)))
-    units[list(finding.blunders), np.arange(len(finding.blunders))] = 1.0
-    sizes = np.linalg.lstsq(beside.outside(units), beside.residual, rcond=None)[0]
+    sizes = np.linalg.lstsq(beside.alone(finding.blunders), beside.residual, rcond=None)[0]
     return float(-2 * np.sum(log_ndtr(np.abs(sizes) - GROSS)))
 
 
@@ -169,9 +167,9 @@ def shapeless(scene: Scene, best: Account) -> tuple[Place, ...]:
     left = _left(scene, best.finding)
     if left.dof < FEWEST or left.basis.size >= LARGE:
         return ()
-    rivals = [(left, accounts(left, scene.channels)[0].score)]
     if pulse := _neighbours(scene, best.finding.blunders):
         return (pulse,)
+    rivals = [(left, accounts(left, scene.channels)[0].score)]
     if best.finding.blunders:
         rivals.append((_left(scene, replace(best.finding, blunders=())), best.score))
     for one, score in rivals:

@@ -143,12 +143,10 @@ def _forward(model: Subsets, most_blunders: int, start: Finding | None) -> tuple
         if what == "effect":
             effects.append(place)
             frame = field.signals[place]
+            field = field.taking(orthonormal(frame, np.ones(frame.shape[1])))
         else:
             blunders.append(place)
-            unit = np.zeros((len(field.residual), 1))
-            unit[place, 0] = 1.0
-            frame = field.outside(unit)
-        field = field.taking(orthonormal(frame, np.ones(frame.shape[1])))
+            field = field.without([place])
 
 
 def _scale_after(field: Field, drops: Array, dofs: NDArray[np.int64]) -> Array:

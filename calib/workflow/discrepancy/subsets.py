@@ -124,9 +124,7 @@ class Subsets:
         """Orthonormal directions of what is chosen."""
         pieces = [self.field.frames[e] for e in effects]
         if blunders:
-            unit = np.zeros((len(self.field.residual), len(blunders)))
-            unit[list(blunders), np.arange(len(blunders))] = 1.0
-            pieces.append(self.field.outside(unit))
+            pieces.append(self.field.alone(blunders))
         together = np.concatenate([*pieces, np.zeros((len(self.field.residual), 0))], axis=1)
         return orthonormal(together, np.ones(together.shape[1])) if together.shape[1] else together
 
